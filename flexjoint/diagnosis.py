@@ -1,0 +1,181 @@
+"""What a diagnosis says: frozen values, and their JSON form (docs/formats.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from flexjoint.effect import Planned
+
+Verdict = Literal["causes", "healthy", "unexplained", "refused"]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted number with its standard error, both in `unit`."""
+
+    value: float | tuple[float, ...]
+    std: float | tuple[float, ...]
+    unit: str
+    at_bound: bool = False
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Another cause that would explain the same, and why the data cannot decide."""
+
+    effect: str
+    joint: str | None
+    why: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A named cause. `planned` is the effect as the extended model holds it; where the nominal model lists
+    the same effect, `parameters` give the change and `planned` the total."""
+
+    effect: str
+    joint: str | None
+    probability: float
+    parameters: Mapping[str, Fitted | str]
+    since: float | None
+    gain: float  # share of the held-out error that it removes
+    kind: str
+    planned: Planned
+    indistinguishable: tuple[Tie, ...] = ()
+    hidden_by_refit: bool = False  # a refit of the nominal numbers would absorb most of it
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """Error that no cause of the catalogue accounts for."""
+
+    joint: str
+    balance: str  # motor | link | spring
+    share: float  # of this balance's error
+    against: str  # the signal it depends on most
+
+
+@dataclass(frozen=True)
+class WithinTolerance:
+    """A deviation that the nominal model's own tolerance covers."""
+
+    effect: str
+    joint: str | None
+    value: float
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate as scored alone: the share of the nominal error that it removes on held-out blocks."""
+
+    effect: str
+    joint: str | None
+    removes: float
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ResidualView:
+    """One balance of one joint [N m], before and after the extension, with what it may depend on (N,)."""
+
+    joint: str
+    balance: str
+    time: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    noise: float  # predicted standard deviation
+    signals: Mapping[str, np.ndarray]  # q, dtheta, tau_t, ... each (N,)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Simulation against recording on data that the fit did not see: RMS and NRMSE per channel."""
+
+    held_out: bool
+    horizon: float
+    before: Mapping[str, Mapping[str, float]]  # {"rms": {...}, "nrmse": {...}}
+    after: Mapping[str, Mapping[str, float]]
+    noise_floor: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The result of `diagnose`."""
+
+    verdict: Verdict
+    reason: str  # one sentence: why this verdict
+    findings: tuple[Finding, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    not_excited: tuple[tuple[str, str | None], ...] = ()
+    within_tolerance: tuple[WithinTolerance, ...] = ()
+    comparison: Gain | None = None
+    next_experiment: str = ""
+    ranking: tuple[Ranked, ...] = ()
+    residuals: tuple[ResidualView, ...] = ()
+    explained: float = 0.0  # share of the excess error energy that the findings remove
+    energy: tuple[float, float] = (1.0, 1.0)  # whitened residual energy per sample before, after; 1 = noise
+    notes: tuple[str, ...] = ()
+    fit: Mapping[str, Any] = field(default_factory=dict)
+
+
+def to_json(diagnosis: Diagnosis, model: str | None = None) -> dict[str, Any]:
+    """The fixed JSON form, schema 1; `model` is the extended YAML's name."""
+    comparison = diagnosis.comparison
+    return {
+        "schema": 1,
+        "verdict": diagnosis.verdict,
+        "reason": diagnosis.reason,
+        "findings": [_finding(f) for f in diagnosis.findings],
+        "unexplained": [
+            {"joint": u.joint, "balance": u.balance, "share": u.share, "against": u.against}
+            for u in diagnosis.unexplained
+        ],
+        "not_excited": [{"effect": effect, "joint": joint} for effect, joint in diagnosis.not_excited],
+        "within_tolerance": [
+            {"effect": w.effect, "joint": w.joint, "value": w.value} for w in diagnosis.within_tolerance
+        ],
+        "comparison": None
+        if comparison is None
+        else {
+            "held_out": comparison.held_out,
+            "horizon": comparison.horizon,
+            "before": comparison.before,
+            "after": comparison.after,
+            "noise_floor": comparison.noise_floor,
+        },
+        "next_experiment": diagnosis.next_experiment,
+        "model": model,
+        "notes": list(diagnosis.notes),
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    parameters: dict[str, Any] = {}
+    for name, fitted in finding.parameters.items():
+        if isinstance(fitted, str):
+            parameters[name] = fitted
+        else:
+            parameters[name] = {"value": _plain(fitted.value), "std": _plain(fitted.std), "unit": fitted.unit}
+    return {
+        "effect": finding.effect,
+        "joint": finding.joint,
+        "probability": finding.probability,
+        "parameters": parameters,
+        "since": finding.since,
+        "gain": finding.gain,
+        "kind": finding.kind,
+        "hidden_by_refit": finding.hidden_by_refit,
+        "note": finding.note,
+        "indistinguishable": [
+            {"effect": t.effect, "joint": t.joint, "why": t.why} for t in finding.indistinguishable
+        ],
+    }
+
+
+def _plain(value: float | tuple[float, ...]) -> float | list[float]:
+    return [float(v) for v in value] if isinstance(value, tuple) else float(value)

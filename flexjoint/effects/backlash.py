@@ -1,0 +1,28 @@
+"""Play in the transmission."""
+
+from typing import Any
+
+import numpy as np
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.ops import Value
+
+
+class Backlash(Effect):
+    """Play in the transmission: inside the gap neither spring nor damper acts."""
+
+    site, against, reference = Site.DEFLECTION, "phi", "Nordin and Gutman 2002 (dead-zone model)"
+    law = r"\phi - \operatorname{clip}(\phi, \pm g/2)"
+    params = (Param("gap", "rad", "g", 1e-3, 0.0, 0.5),)
+    needs_spring = True
+
+    def map(self, s: Signals, p: Any, x: Value) -> Value:
+        return x - ops.clip(x, -0.5 * p.gap, 0.5 * p.gap)
+
+    def slope(self, s: Signals, p: Any) -> Value:
+        return ops.where(ops.absolute(s.phi) > 0.5 * p.gap, 1.0, 0.0)
+
+    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
+        span = float(np.ptp(s.phi))
+        return tuple({"gap": share * span} for share in (0.02, 0.06, 0.15, 0.3, 0.5, 0.75))

@@ -1,0 +1,25 @@
+"""The base does not stand level."""
+
+from typing import Any
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Kind, Param, Site
+
+
+class BaseTilt(Effect):
+    """The base does not stand level: gravity seen in the base is turned."""
+
+    site, kind, against, reference = Site.BODY, Kind.MECHANICAL, "q", "Craig 2005, section 2.8 (roll, pitch)"
+    law = r"g' = (R_x(\alpha) R_y(\beta))^T g"
+    params = (
+        Param("roll", "rad", r"\alpha", 0.0, -3.2, 3.2),
+        Param("pitch", "rad", r"\beta", 0.0, -3.2, 3.2),
+    )
+    whole_robot = True
+
+    def edit_gravity(self, gravity: Any, p: Any) -> Any:
+        gx, gy, gz = gravity
+        ca, sa, cb, sb = ops.cos(p.roll), ops.sin(p.roll), ops.cos(p.pitch), ops.sin(p.pitch)
+        # first Rx(roll)^T g, then Ry(pitch)^T of that
+        hx, hy, hz = gx, ca * gy + sa * gz, -sa * gy + ca * gz
+        return [cb * hx - sb * hz, hy, sb * hx + cb * hz]

@@ -1,0 +1,17 @@
+"""Friction of the motor and gear that grows with the motor's speed."""
+
+from dataclasses import replace
+from typing import Any
+
+from flexjoint.effect import Drive, Effect, Kind, Param, Site
+
+
+class MotorViscousFriction(Effect):
+    """Friction of the motor and gear that grows with the motor's speed, beside the nominal D_m."""
+
+    site, kind, against, reference = Site.MOTOR, Kind.MECHANICAL, "dtheta", "Armstrong-Helouvry et al. 1994"
+    law = r"d \, \dot\theta"
+    params = (Param("coefficient", "N m s/rad", "d", 1.0, -1e4, 1e5),)
+
+    def edit_drive(self, drive: Drive, p: Any) -> Drive:
+        return replace(drive, D_m=drive.D_m + p.coefficient)

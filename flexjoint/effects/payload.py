@@ -1,0 +1,32 @@
+"""A mass that the nominal model does not know."""
+
+from typing import Any
+
+from flexjoint.effect import Effect, Param, Site
+
+
+class Payload(Effect):
+    """A point mass fixed to a link, at a position in the joint's link frame."""
+
+    site, against, reference = Site.BODY, "q", "Khalil and Dombre 2002, section 9.2 (inertial parameters)"
+    law = r"\Delta\pi = m\,(1, r, -[r]_\times^2)"
+    params = (
+        Param("mass", "kg", "m", 0.1, -1e3, 1e4),
+        Param("position", "m", "r", 0.0, -20.0, 20.0, null=None, size=3),
+    )
+
+    def edit_inertial(self, inertial: Any, p: Any) -> Any:
+        m, (x, y, z) = p.mass, p.position
+        added = (
+            m,
+            m * x,
+            m * y,
+            m * z,
+            m * (y * y + z * z),
+            -m * x * y,
+            m * (x * x + z * z),
+            -m * x * z,
+            -m * y * z,
+            m * (x * x + y * y),
+        )
+        return [have + more for have, more in zip(inertial, added, strict=True)]

@@ -1,0 +1,24 @@
+"""A reading that arrives late."""
+
+from typing import Any
+
+from flexjoint.effect import SENSOR_CHANNELS, Effect, Kind, Param, Site, Word
+from flexjoint.ops import Value
+
+
+class SensorDelay(Effect):
+    """A reading that arrives late; channel q takes dq along, theta takes dtheta, null means all."""
+
+    site, kind, against, reference = Site.SENSOR, Kind.TIMING, "t", "Franklin, Powell and Workman 1998"
+    law = r"y(t) = x(t - T)"
+    params = (Param("delay", "s", "T", 2e-3, 0.0, 0.05),)
+    words = (Word("channel", (None, "q", "theta", "tau_t"), None),)
+    max_delay = 0.05
+
+    def channels(self, p: Any) -> tuple[str, ...]:
+        if p.channel is None:
+            return SENSOR_CHANNELS
+        return {"q": ("q", "dq"), "theta": ("theta", "dtheta"), "tau_t": ("tau_t",)}[p.channel]
+
+    def delay(self, p: Any) -> Value:
+        return p.delay

@@ -1,0 +1,32 @@
+"""The spring's torque depends on where it comes from."""
+
+from typing import Any
+
+import numpy as np
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.ops import Value
+
+
+class SpringHysteresis(Effect):
+    """Rate-free loop between torque and deflection (Dahl): its state z is the added torque."""
+
+    site, against, reference = Site.SPRING, "phi", "Dahl 1976"
+    law = r"z,\ \dot z = \dot\phi\,\frac{l}{s}\left(1 - \frac{z}{l}\operatorname{sgn}\dot\phi\right)"
+    params = (
+        Param("level", "N m", "l", 0.5, 0.0, 1e5),
+        Param("scale", "rad", "s", 3e-3, 1e-7, 1.0, null=None),
+    )
+    states = (0.0,)
+    needs_spring = True
+
+    def torque(self, s: Signals, p: Any, z: Value) -> Value:
+        return z
+
+    def rate(self, s: Signals, p: Any, z: Value) -> Value:
+        return (s.dphi * p.level - z * ops.absolute(s.dphi)) / p.scale
+
+    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
+        span = float(np.ptp(s.phi))
+        return tuple({"scale": share * span} for share in (0.01, 0.03, 0.1, 0.3))

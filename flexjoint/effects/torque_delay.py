@@ -1,0 +1,18 @@
+"""The commanded torque acts late."""
+
+from typing import Any
+
+from flexjoint.effect import Effect, Kind, Param, Site
+from flexjoint.ops import Value
+
+
+class TorqueDelay(Effect):
+    """The commanded torque acts late; a short first-order lag of the current loop looks the same."""
+
+    site, kind, against, reference = Site.COMMAND, Kind.TIMING, "t", "Franklin, Powell and Workman 1998"
+    law = r"\tau(t) = \tau_m(t - T)"
+    params = (Param("delay", "s", "T", 2e-3, 0.0, 0.05),)
+    max_delay = 0.05
+
+    def delay(self, p: Any) -> Value:
+        return p.delay

@@ -1,0 +1,81 @@
+"""The only place that switches between NumPy and CasADi.
+
+Laws of effects are written once with these functions and take floats, NumPy arrays or CasADi
+expressions alike. `np.where`, `np.clip`, `np.maximum` and `np.sum` misbehave on CasADi SX: a law
+uses these instead.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+Value = Any  # float | np.ndarray | ca.SX | ca.MX: the laws are elementwise in all of them
+
+_SYMBOLIC = (ca.SX, ca.MX, ca.DM)
+
+
+def is_symbolic(*values: Value) -> bool:
+    """Whether any of the values is a CasADi expression."""
+    return any(isinstance(v, _SYMBOLIC) for v in values)
+
+
+def where(condition: Value, yes: Value, no: Value) -> Value:
+    """Elementwise choice; both branches are evaluated."""
+    if is_symbolic(condition, yes, no):
+        return ca.if_else(condition, yes, no)
+    if isinstance(condition, (bool, np.bool_)):
+        return yes if condition else no
+    return np.where(condition, yes, no)
+
+
+def both(a: Value, b: Value) -> Value:
+    """Elementwise logical and."""
+    return ca.logic_and(a, b) if is_symbolic(a, b) else np.logical_and(a, b)
+
+
+def sign(x: Value) -> Value:
+    return ca.sign(x) if is_symbolic(x) else np.sign(x)
+
+
+def absolute(x: Value) -> Value:
+    return ca.fabs(x) if is_symbolic(x) else np.abs(x)
+
+
+def minimum(a: Value, b: Value) -> Value:
+    return ca.fmin(a, b) if is_symbolic(a, b) else np.minimum(a, b)
+
+
+def maximum(a: Value, b: Value) -> Value:
+    return ca.fmax(a, b) if is_symbolic(a, b) else np.maximum(a, b)
+
+
+def clip(x: Value, low: Value, high: Value) -> Value:
+    return minimum(maximum(x, low), high)
+
+
+def _unary(name: str) -> Any:
+    symbolic, numeric, scalar = getattr(ca, name), getattr(np, name), getattr(math, name)
+
+    def apply(x: Value) -> Value:
+        if isinstance(x, float):
+            return scalar(x)
+        return symbolic(x) if is_symbolic(x) else numeric(x)
+
+    apply.__name__ = name
+    return apply
+
+
+sin = _unary("sin")
+cos = _unary("cos")
+sqrt = _unary("sqrt")
+tanh = _unary("tanh")
+
+
+def exp(x: Value) -> Value:
+    """exp, with its argument held above -700: below it the value is 0 to double precision, and underflow
+    would be raised as a floating-point error."""
+    return ca.exp(ca.fmax(x, -700.0)) if is_symbolic(x) else np.exp(np.maximum(x, -700.0))
