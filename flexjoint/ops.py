@@ -76,6 +76,6 @@ tanh = _unary("tanh")
 
 
 def exp(x: Value) -> Value:
-    """exp, with its argument held above -700: below it the value is 0 to double precision, and underflow
-    would be raised as a floating-point error."""
-    return ca.exp(ca.fmax(x, -700.0)) if is_symbolic(x) else np.exp(np.maximum(x, -700.0))
+    """exp, with its argument held above -300: below it the value is 0 for any use, and the underflow
+    of its products would be raised as a floating-point error."""
+    return ca.exp(ca.fmax(x, -300.0)) if is_symbolic(x) else np.exp(np.maximum(x, -300.0))

@@ -6,6 +6,7 @@ import numpy as np
 
 from flexjoint import ops
 from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.effects._starts import grid
 from flexjoint.ops import Value
 
 
@@ -24,5 +25,4 @@ class Backlash(Effect):
         return ops.where(ops.absolute(s.phi) > 0.5 * p.gap, 1.0, 0.0)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        span = float(np.ptp(s.phi))
-        return tuple({"gap": share * span} for share in (0.02, 0.06, 0.15, 0.3, 0.5, 0.75))
+        return grid(self.params, gap=float(np.ptp(s.phi)) * np.array((0.02, 0.06, 0.15, 0.3, 0.5, 0.75)))

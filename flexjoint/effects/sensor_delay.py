@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from flexjoint.effect import SENSOR_CHANNELS, Effect, Kind, Param, Site, Word
+from flexjoint.effect import SENSOR_CHANNELS, Effect, Kind, Param, Signals, Site, Word
+from flexjoint.effects._starts import grid
 from flexjoint.ops import Value
 
 
@@ -22,3 +23,6 @@ class SensorDelay(Effect):
 
     def delay(self, p: Any) -> Value:
         return p.delay
+
+    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
+        return grid(self.params, delay=(1e-3, 3e-3, 8e-3, 0.02, 0.04))

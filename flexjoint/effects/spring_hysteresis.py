@@ -6,6 +6,7 @@ import numpy as np
 
 from flexjoint import ops
 from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.effects._starts import grid
 from flexjoint.ops import Value
 
 
@@ -28,5 +29,4 @@ class SpringHysteresis(Effect):
         return (s.dphi * p.level - z * ops.absolute(s.dphi)) / p.scale
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        span = float(np.ptp(s.phi))
-        return tuple({"scale": share * span} for share in (0.01, 0.03, 0.1, 0.3))
+        return grid(self.params, scale=float(np.ptp(s.phi)) * np.array((0.01, 0.03, 0.1, 0.3)))

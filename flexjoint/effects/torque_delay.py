@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Kind, Param, Site
+from flexjoint.effect import Effect, Kind, Param, Signals, Site
+from flexjoint.effects._starts import grid
 from flexjoint.ops import Value
 
 
@@ -16,3 +17,6 @@ class TorqueDelay(Effect):
 
     def delay(self, p: Any) -> Value:
         return p.delay
+
+    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
+        return grid(self.params, delay=(1e-3, 3e-3, 8e-3, 0.02, 0.04))

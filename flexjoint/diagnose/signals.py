@@ -1,0 +1,196 @@
+"""From a recording to evenly sampled, gap-aware readings with predicted noise, ready to be filtered.
+
+Positions are never differentiated by differences: one Gaussian filter and its analytic derivatives are
+applied in the frequency domain, identically to every signal (Savitzky-Golay's idea with a smoother
+window). Noise is predicted from the readings themselves, not fitted to the residual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+from scipy.interpolate import Akima1DInterpolator, CubicSpline
+
+from flexjoint.diagnose.command import torque_source
+from flexjoint.errors import RecordingError
+from flexjoint.recording import Recording
+from flexjoint.robot import Robot
+
+FILTER_SECONDS = 0.004  # standard deviation of the Gaussian window, at least ...
+FILTER_SAMPLES = 2.0  # ... this many samples, below which its sampled kernel aliases
+EDGE_SIGMAS = 8.0  # samples this close to an edge or gap are not used
+LONGEST_BRIDGE = 4  # missing samples in a row that are interpolated and used
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Evenly sampled readings of the actuated joints, (n, N) each; a row of NaN was not measured.
+
+    `torque` is the motor torque at the sample times: a command is moved by half its hold, a measured
+    torque is not. `valid` (N,) marks samples whose surroundings were measured. `noise` maps a channel to
+    its predicted standard deviation per sample (n,), quantisation included.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    theta: np.ndarray
+    tau_t: np.ndarray
+    torque: np.ndarray
+    commanded: np.ndarray  # (n,) bool: torque is a command (held), not a measurement
+    valid: np.ndarray
+    noise: dict[str, np.ndarray]
+    sigma: float  # [s] of the Gaussian filter
+    start: float  # recording time of the first sample [s]
+
+    @property
+    def period(self) -> float:
+        return float(self.time[1] - self.time[0])
+
+
+def prepare(robot: Robot, recording: Recording) -> Readings:
+    """Resample the recording evenly and predict its noise.
+
+    Raises RecordingError when no joint of the robot has a usable position channel.
+    """
+    period = recording.period
+    count = int(np.floor(recording.duration / period + 1e-6)) + 1
+    time = recording.time[0] + period * np.arange(count)
+    n = len(robot.joints)
+    channels = {name: np.full((n, count), np.nan) for name in ("q", "theta", "tau_t", "torque")}
+    noise = {name: np.zeros(n) for name in channels}
+    commanded = np.zeros(n, dtype=bool)
+    valid = np.ones(count, dtype=bool)
+    for row, joint in enumerate(robot.joints):
+        for channel in ("q", "theta", "tau_t"):
+            if not recording.has(channel, joint.name):
+                continue
+            samples = recording.get(channel, joint.name)
+            channels[channel][row], good = _evenly(recording.time, samples, time)
+            valid &= good
+            noise[channel][row] = noise_of(samples)
+        source = torque_source(robot, recording, joint)
+        if source is None:
+            continue
+        commanded[row] = source.held
+        values, good = _torque(recording.time, source.values, time, source.held, robot.rates.control)
+        channels["torque"][row] = values
+        valid &= good
+        noise["torque"][row] = _torque_noise(source.values, source.held, period, robot.rates.control)
+    if not np.any(np.isfinite(channels["q"]) | np.isfinite(channels["theta"])):
+        raise RecordingError(
+            f"{recording.name}: no position of any joint of {robot.name}; expected q.<joint> or theta.<joint>"
+            f" for {', '.join(robot.joint_names)}"
+        )
+    sigma = max(FILTER_SECONDS, FILTER_SAMPLES * period)
+    return Readings(
+        time, **channels, commanded=commanded, valid=_shrink(valid, sigma, period), noise=noise,
+        sigma=sigma, start=float(recording.time[0]),
+    )  # fmt: skip
+
+
+def _evenly(
+    time: np.ndarray, samples: np.ndarray, grid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The signal on the grid (cubic between samples) and where it was really measured."""
+    present = np.isfinite(samples)
+    t, x = time[present], samples[present]
+    period = grid[1] - grid[0]
+    if t.size == grid.size and np.allclose(t, grid, atol=1e-6 * period, rtol=0):
+        return x.copy(), np.ones(grid.size, dtype=bool)
+    values = CubicSpline(t, x)(np.clip(grid, t[0], t[-1]))
+    after = np.searchsorted(t, grid, side="right").clip(1, t.size - 1)
+    hole = t[after] - t[after - 1]
+    good = (hole <= (LONGEST_BRIDGE + 0.5) * period) & (grid >= t[0] - period) & (grid <= t[-1] + period)
+    # a cubic across a long hole overshoots: hold it to a straight line there, it is not used anyway
+    return np.where(good, values, np.interp(grid, t, x)), good
+
+
+def _torque(
+    time: np.ndarray, samples: np.ndarray, grid: np.ndarray, held: bool, rate: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The motor torque on the grid. A command is held for 1/f_c from its tick; the mean of a held signal
+    is the signal moved by half a hold. Missed ticks are interpolated linearly."""
+    present = np.isfinite(samples)
+    t, x = time[present], samples[present]
+    period = grid[1] - grid[0]
+    if held:
+        t = np.floor(t * rate + 1e-6) / rate + 0.5 / rate
+    after = np.searchsorted(t, grid, side="right").clip(1, t.size - 1)
+    good = (t[after] - t[after - 1]) <= (LONGEST_BRIDGE + 1.5) * period
+    # local cubics: exact to higher order than lines on a smooth command, no ringing at a jump
+    values = Akima1DInterpolator(t, x, method="makima")(np.clip(grid, t[0], t[-1]))
+    return values, good
+
+
+def noise_of(samples: np.ndarray) -> float:
+    """Standard deviation of the white part of a signal, from its fourth differences, which no smooth
+    motion survives; never below what its quantisation alone makes (step / sqrt(12)).
+
+    Robust: the median of absolute fourth differences, so that rare jerks do not count as noise.
+    """
+    x = samples[np.isfinite(samples)]
+    if x.size < 16:
+        return 0.0
+    fourth = np.diff(x, 4)
+    # var of the fourth difference of white noise is 1 + 16 + 36 + 16 + 1 = 70 times its variance
+    spread = float(np.sqrt(np.mean(fourth**2) / 70.0))
+    robust = float(np.median(np.abs(fourth)) / 0.6745 / np.sqrt(70.0))
+    steps = np.abs(np.diff(x))
+    steps = steps[steps > 0]
+    quantum = float(np.min(steps)) if steps.size else 0.0
+    exact = steps.size and np.allclose(np.round(steps / quantum), steps / quantum, atol=1e-3)
+    return max(min(spread, robust) if robust > 0 else spread, quantum / np.sqrt(12.0) if exact else 0.0)
+
+
+def _torque_noise(samples: np.ndarray, held: bool, period: float, rate: float) -> float:
+    """Noise of the torque signal. A command is known exactly where it was recorded; of the ticks between
+    records only the linear interpolation is known, whose error has the variance of 1.5 ticks."""
+    white = noise_of(samples)
+    if not held:
+        return white
+    ticks = max(1.0, period * rate)
+    return white * float(np.sqrt(1.5 * (ticks - 1.0))) / ticks
+
+
+def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
+    """Drop what lies within the filter's reach of an edge or a gap."""
+    reach = int(np.ceil(EDGE_SIGMAS * sigma / period))
+    bad = np.concatenate([np.ones(reach, bool), ~valid, np.ones(reach, bool)])
+    spread = np.convolve(bad.astype(float), np.ones(2 * reach + 1), mode="same") > 0.5
+    return ~spread[reach:-reach]
+
+
+@dataclass(frozen=True)
+class Filter:
+    """The Gaussian window and its derivatives, in the frequency domain, for signals of N samples."""
+
+    count: int
+    size: int  # padded length
+    omega: np.ndarray  # (F,) rad/s
+    gain: np.ndarray  # (F,)
+
+    def spectrum(self, x: np.ndarray) -> np.ndarray:
+        """(..., N) -> (..., F): the unfiltered spectrum; padded so that the ends meet smoothly."""
+        pad = self.size - self.count
+        if pad:
+            ramp = np.linspace(0.0, 1.0, pad + 2)[1:-1]
+            ends = x[..., -1:] * (1.0 - ramp) + x[..., :1] * ramp
+            x = np.concatenate([x, ends], axis=-1)
+        return fft.rfft(x, axis=-1)
+
+    def smooth(self, x: np.ndarray, order: int = 0) -> np.ndarray:
+        """(..., N) -> (..., N): filtered, differentiated `order` times."""
+        return self.smooth_share(x, 1.0, order)
+
+    def smooth_share(self, x: np.ndarray, share: float, order: int = 0) -> np.ndarray:
+        """The same with a share of the window's variance: shares that add up to 1 make the whole window."""
+        shaped = self.spectrum(x) * self.gain**share * (1j * self.omega) ** order
+        return fft.irfft(shaped, self.size, axis=-1)[..., : self.count]
+
+
+def make_filter(count: int, period: float, sigma: float) -> Filter:
+    size = fft.next_fast_len(count + int(20 * sigma / period), real=True)
+    omega = 2.0 * np.pi * fft.rfftfreq(size, period)
+    return Filter(count, size, omega, np.exp(-0.5 * np.minimum((omega * sigma) ** 2, 600.0)))

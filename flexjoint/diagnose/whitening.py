@@ -1,0 +1,136 @@
+"""Predicted noise of the balances across joints and frequencies, and the transform that makes it white.
+
+Every sensor's white noise is pushed through the linearised balances: with x the noise of q, theta, tau_t
+and the torque, balance spectra are T(f) x G(f), so S(f) = T diag(var) T^H G^2 is known, not fitted. A
+position without a sensor is one with unbounded noise: its trajectory is eliminated by the same algebra.
+The whitened residual of a healthy robot then has energy 1 per degree of freedom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
+
+CUT_GAIN = 0.25  # the band ends where the Gaussian filter passes this share
+UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
+FLOOR = 3e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Linear map from balance spectra to white time series at the band-limited rate."""
+
+    matrix: np.ndarray  # (F_band, m, m) complex
+    taper: np.ndarray  # (F_band,)
+    size: int  # padded length of the balances
+    window: np.ndarray  # (size,) 1 where the record is usable, falling smoothly to 0 outside
+    length: int  # samples of the white series over the padded record
+    keep: np.ndarray  # indices of the usable white samples
+    time: np.ndarray  # their times from the start of the recording [s]
+    freedom: float  # degrees of freedom per sample: balances minus missing positions
+    scale: float
+
+    def apply(self, spectra: np.ndarray) -> np.ndarray:
+        """(m, F) -> (m, K): whitened series at the usable samples."""
+        band, used = self.taper.size, np.flatnonzero(np.any(spectra, axis=1))
+        # what lies beyond edges and gaps is cut off first: the whitening must not smear it
+        series = fft.irfft(spectra[used], self.size, axis=-1) * self.window
+        inside = fft.rfft(series, axis=-1)[:, :band] * self.taper
+        mixed = np.matmul(self.matrix[:, :, used], inside.T[:, :, None])[:, :, 0].T
+        return fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale
+
+
+def make(balances: Balances, torque_scale: np.ndarray) -> Whitening:
+    """The whitening of these balances; `torque_scale` (m,) is each balance's torque RMS [N m]."""
+    window = balances.filter
+    band = int(np.searchsorted(-window.gain, -CUT_GAIN))
+    length = 2 * (band - 1)
+    omega, gain = window.omega[:band], window.gain[:band]
+    transfer, variances, extra = _transfer(balances, omega)
+    spectrum = np.einsum("fak,k,fbk->fab", transfer, variances, transfer.conj()) + extra
+    spectrum = spectrum * (gain**2)[:, None, None]
+    rows = range(len(balances.rows))
+    # the numerical floor is white: spread over the whole sampled band like any sensor's noise
+    spectrum[:, rows, rows] += (FLOOR * torque_scale) ** 2
+    factor = np.linalg.cholesky(spectrum)
+    matrix = np.linalg.inv(factor)
+    edge = int(0.85 * band)
+    taper = np.ones(band)
+    taper[edge:] = 0.5 * (1.0 + np.cos(np.pi * np.arange(band - edge) / max(1, band - edge)))
+    # rfft of N samples of unit white noise has variance N per bin; irfft to `length` divides by length;
+    # energy lost in the taper is given back so that the mean energy is 1
+    scale = float(np.sqrt(length * length / (window.size * np.sum(taper**2) * 2.0)))
+    times = np.arange(length) * (window.size * balances.readings.period / length)
+    nearest = np.rint(times / balances.readings.period).astype(int)
+    inside = nearest < window.count
+    usable = np.zeros(length, dtype=bool)
+    usable[inside] = balances.readings.valid[nearest[inside]]
+    keep = np.flatnonzero(usable)
+    return Whitening(
+        matrix, taper, window.size, _window(balances), length, keep, times[keep], len(balances.rows) - len(balances.missing), scale
+    )
+
+
+def _window(balances: Balances) -> np.ndarray:
+    """1 on usable samples, cosine flanks inside the unused margin, 0 beyond."""
+    reach = max(2, int(3.0 * balances.readings.sigma / balances.readings.period))
+    flank = np.hanning(2 * reach + 3)[1:-1]
+    padded = np.zeros(balances.filter.size)
+    padded[: balances.filter.count] = balances.readings.valid
+    return np.clip(np.convolve(padded, flank / flank.sum(), mode="same") * 2.0, 0.0, 1.0)
+
+
+def _transfer(balances: Balances, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """T (F, m, channels), variances (channels,), and the part that a varying mass matrix adds (F, m, m)."""
+    robot, readings, rigid = balances.robot, balances.readings, balances.rigid
+    n, m = len(robot.joints), len(balances.rows)
+    s = 1j * omega
+    used = readings.valid
+    by_q, by_v, mass = (x[used].mean(axis=0) for x in (rigid.by_q, rigid.by_v, rigid.mass))
+    transfer = np.zeros((omega.size, m, 4 * n), dtype=complex)
+    q, theta, tau_t, torque = (k * n + np.arange(n) for k in range(4))
+    links = [joint.rigid for joint in robot.joints]
+    for r, row in enumerate(balances.rows):
+        i, drive = row.joint, robot.joints[row.joint].drive
+        shaft = drive.B * s**2 + drive.D_m * s
+        if row.balance == MOTOR and links[i]:
+            transfer[:, r, torque[i]] = 1.0
+            transfer[:, r, theta[i]] = -shaft
+        else:
+            impedance = drive.K + drive.D * s
+            if row.balance == MOTOR:
+                transfer[:, r, torque[i]] = 1.0
+                transfer[:, r, theta[i]] = -shaft - impedance
+                transfer[:, r, q[i]] = impedance
+            elif row.balance == LINK:
+                transfer[:, r, theta[i]] = impedance
+                transfer[:, r, q[i]] = -impedance
+            elif row.balance == SPRING:
+                transfer[:, r, tau_t[i]] = 1.0
+                transfer[:, r, theta[i]] = -impedance
+                transfer[:, r, q[i]] = impedance
+        if row.balance == LINK or (row.balance == MOTOR and links[i]):
+            for k in range(n):
+                column = theta[k] if links[k] else q[k]
+                transfer[:, r, column] -= by_q[i, k] + by_v[i, k] * s + mass[i, k] * s**2
+    noise = np.stack([readings.noise[name] for name in ("q", "theta", "tau_t", "torque")]).ravel()
+    largest = max(float(np.max(noise[: 2 * n])), 1e-7)
+    variances = noise**2
+    for channel, i in balances.missing:
+        variances[q[i] if channel == "q" else theta[i]] = (UNBOUNDED * largest) ** 2
+    extra = np.zeros((omega.size, m, m), dtype=complex)
+    rows = {row.joint: r for r, row in enumerate(balances.rows) if row.balance == LINK}
+    unmeasured = {i for channel, i in balances.missing if channel == "q"}
+    spread = rigid.mass[used] - mass
+    for k in range(n):
+        if k in unmeasured or links[k]:
+            continue
+        covariance = np.einsum("ti,tj->ij", spread[:, :, k], spread[:, :, k]) / max(1, spread.shape[0])
+        for i, ri in rows.items():
+            for j, rj in rows.items():
+                extra[:, ri, rj] += variances[q[k]] * covariance[i, j] * omega**4
+    return transfer, variances, extra

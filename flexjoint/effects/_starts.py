@@ -1,0 +1,33 @@
+"""Grids of starting values that several effects share; see `Effect.starts`."""
+
+from collections.abc import Iterable
+from itertools import product
+from math import floor, pi
+from typing import Any
+
+import numpy as np
+
+from flexjoint.effect import Param
+
+MAX_CYCLES = 60
+# A sine of any phase and positive amplitude correlates by at least 1/2 with one of these three.
+PHASES = (0.0, 2 * pi / 3, -2 * pi / 3)
+
+
+def grid(params: tuple[Param, ...], **values: Iterable[Any]) -> tuple[dict[str, float], ...]:
+    """One start per combination of the values, each held inside its parameter's bounds, equal ones once."""
+    bounds = {p.name: p for p in params}
+    axes = []
+    for name, wanted in values.items():
+        param = bounds[name]
+        axes.append(dict.fromkeys(min(max(float(v), param.low), param.high) for v in wanted))
+    return tuple(dict(zip(values, point, strict=True)) for point in product(*axes))
+
+
+def whole_cycles(theta: Any) -> range:
+    """Every whole number of cycles per turn up to MAX_CYCLES of which the angle theta (N,) [rad] covers
+    about a quarter period or more."""
+    travel = float(np.ptp(theta))
+    if travel * MAX_CYCLES <= 0.5 * pi:
+        return range(MAX_CYCLES, MAX_CYCLES + 1)
+    return range(max(1, floor(0.5 * pi / travel)), MAX_CYCLES + 1)

@@ -1,0 +1,26 @@
+"""Dry friction on the motor shaft that differs between the two directions."""
+
+from typing import Any
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.ops import Value
+
+
+class AsymmetricFriction(Effect):
+    """Dry friction on the motor shaft that differs between the two directions; it sticks.
+
+    At rest the level is that of the direction in which the net torque pushes.
+    """
+
+    site, against, reference = Site.MOTOR, "dtheta", "Armstrong-Helouvry 1991 (direction-dependent friction)"
+    law = r"\tau_+ \text{ if } \dot\theta > 0,\ -\tau_- \text{ if } \dot\theta < 0"
+    params = (
+        Param("level_positive", "N m", r"\tau_+", 0.3, 0.0, 1e4),
+        Param("level_negative", "N m", r"\tau_-", 0.2, 0.0, 1e4),
+    )
+    contains = ("motor_coulomb_friction",)
+
+    def level(self, s: Signals, p: Any) -> Value:
+        direction = ops.where(s.dtheta == 0.0, s.tau_m - s.tau_t, s.dtheta)
+        return ops.where(direction >= 0.0, p.level_positive, p.level_negative)

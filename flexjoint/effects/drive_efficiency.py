@@ -1,0 +1,31 @@
+"""The gear loses more torque one way than the other."""
+
+from typing import Any
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.ops import Value
+
+
+class DriveEfficiency(Effect):
+    """Gear friction that differs between driving the load and being driven by it; it sticks.
+
+    The efficiencies are 1/(1 + loss_driving) and 1 - loss_backdriving: from 1 on, the gear locks itself.
+    At rest the case is that of the direction in which the net torque pushes.
+    """
+
+    site, against, reference = Site.MOTOR, "tau_t", "Giberti, Cinquemani and Legnani 2010 (direct, inverse)"
+    law = (
+        r"\mu\,|\tau_t| \operatorname{sgn}\dot\theta,\ "
+        r"\mu = \mu_d \text{ if } \tau_t\dot\theta \geq 0,\ \mu_b \text{ if } \tau_t\dot\theta < 0"
+    )
+    params = (
+        Param("loss_driving", "1", r"\mu_d", 0.1, 0.0, 20.0),
+        Param("loss_backdriving", "1", r"\mu_b", 0.2, 0.0, 20.0),
+    )
+    contains = ("load_friction",)
+
+    def level(self, s: Signals, p: Any) -> Value:
+        direction = ops.where(s.dtheta == 0.0, s.tau_m - s.tau_t, s.dtheta)
+        loss = ops.where(s.tau_t * direction >= 0.0, p.loss_driving, p.loss_backdriving)
+        return loss * ops.absolute(s.tau_t)

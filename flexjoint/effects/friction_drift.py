@@ -1,0 +1,28 @@
+"""Friction that fades as the joint warms up."""
+
+from typing import Any
+
+import numpy as np
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.effects._starts import grid
+from flexjoint.ops import Value
+
+
+class FrictionDrift(Effect):
+    """Dry friction on the motor shaft that fades from the start of the recording: the joint warms up."""
+
+    site, against, reference = Site.MOTOR, "t", "Bittencourt and Gunnarsson 2012 (friction over temperature)"
+    law = r"\tau_d\, e^{-t/T} \operatorname{sgn}\dot\theta"
+    params = (
+        Param("level", "N m", r"\tau_d", 0.2, 0.0, 1e4),
+        Param("time_constant", "s", "T", 60.0, 1e-2, 1e5, null=None),
+    )
+    contains = ("motor_coulomb_friction",)
+
+    def level(self, s: Signals, p: Any) -> Value:
+        return p.level * ops.exp(-s.t / p.time_constant)
+
+    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
+        return grid(self.params, time_constant=float(np.ptp(s.t)) * np.array((0.1, 0.3, 1.0, 3.0)))

@@ -1,0 +1,21 @@
+"""The spring stiffens as it deflects."""
+
+from typing import Any
+
+from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.ops import Value
+
+
+class HardeningSpring(Effect):
+    """The spring stiffens as it deflects."""
+
+    site, against, reference = Site.SPRING, "phi", "Tuttle and Seering 1996 (cubic stiffness)"
+    law = r"+\,k_3 \phi^3"
+    params = (Param("cubic", "N m/rad^3", "k_3", 1e4, 0.0, 1e13),)
+    needs_spring = True
+
+    def torque(self, s: Signals, p: Any, z: Value) -> Value:
+        return p.cubic * s.phi * s.phi * s.phi
+
+    def slope(self, s: Signals, p: Any) -> Value:
+        return 3.0 * p.cubic * s.phi * s.phi

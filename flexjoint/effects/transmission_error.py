@@ -1,0 +1,30 @@
+"""The gear does not turn evenly."""
+
+from typing import Any
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.effects._starts import PHASES, grid, whole_cycles
+from flexjoint.ops import Value
+
+
+class TransmissionError(Effect):
+    """The gear does not turn evenly: what reaches the spring ripples with the motor's angle.
+
+    The damper acts on dphi as before; cycles counts per turn of theta.
+    """
+
+    site, against, reference = Site.DEFLECTION, "theta", "Ghorbel, Gandhi and Alpeter 2001"
+    law = r"\phi + a \sin(n \theta + \psi)"
+    params = (
+        Param("amplitude", "rad", "a", 5e-4, 0.0, 0.5),
+        Param("cycles", "1", "n", 2.0, 0.5, 5e3, null=None),
+        Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
+    )
+    needs_spring = True
+
+    def map(self, s: Signals, p: Any, x: Value) -> Value:
+        return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)
+
+    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
+        return grid(self.params, cycles=whole_cycles(s.theta), phase=PHASES)

@@ -1,0 +1,232 @@
+"""The signal flow of one actuated joint, written once for floats, arrays over time and CasADi alike.
+
+    command tau_m -> COMMAND -> motor (MOTOR) -> phi = theta - q -> DEFLECTION -> SPRING -> link (LINK)
+    states -> SENSOR -> readings
+
+Schemes, the continuous dynamics, the symbolic model and the sensor readings all evaluate effects here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flexjoint import ops
+from flexjoint.effect import Drive, Effect, Signals, Site
+from flexjoint.ops import Value
+from flexjoint.robot import Joint
+
+STEP = 1e-6  # relative step of the difference quotients below; laws are linear or smooth on that scale
+INVERSION_ROUNDS = 8  # of Newton's method in `corrected`; it squares an error of 1e-2 in each
+
+
+@dataclass(frozen=True)
+class Part:
+    """One effect at work on a joint: its parameters, and the place of its internal state in z (-1: none)."""
+
+    effect: Effect
+    p: Any
+    slot: int = -1
+
+
+class JointFlow:
+    """The effects of one joint in signal-flow order, with its drive numbers as they change them.
+
+    At one site, effects act in alphabetical order; among deflections a play comes last, because it is the
+    error of the gear that takes it up.
+    """
+
+    def __init__(self, joint: Joint, parts: Sequence[Part]) -> None:
+        self.joint = joint
+        drive = joint.drive
+        for part in parts:
+            drive = part.effect.edit_drive(drive, part.p)
+        self.drive: Drive = drive
+        ordered = sorted(parts, key=lambda part: part.effect.name)
+        self._command = [x for x in ordered if _does(x, Site.COMMAND, "map")]
+        self._deflection = [x for x in ordered if _does(x, Site.DEFLECTION, "map", "slope")]
+        self._deflection.sort(key=lambda part: part.effect.overrides("slope"))
+        self._spring = [x for x in ordered if _does(x, Site.SPRING, "torque")]
+        self._motor = [x for x in ordered if _does(x, Site.MOTOR, "torque")]
+        self._rubbing = [x for x in ordered if _does(x, Site.MOTOR, "level")]
+        self._link = [x for x in ordered if _does(x, Site.LINK, "torque")]
+        self._link_rubbing = [x for x in ordered if _does(x, Site.LINK, "level")]
+        self._sensors = [x for x in ordered if x.effect.site is Site.SENSOR]
+        self._late = [x for x in ordered if _does(x, Site.COMMAND, "delay")]
+        self.stateful = [x for x in ordered if x.slot >= 0]
+        self.nonlinear_spring = bool(self._deflection or self._spring)
+        self.motor_rubs = bool(self._rubbing)
+        self.link_rubs = bool(self._link_rubbing)
+        self.busy = bool(
+            self._command or self._motor or self._link or self.motor_rubs or self.link_rubs or self.stateful
+        )
+        self.busy = self.busy or self.nonlinear_spring
+
+    # --- command ---------------------------------------------------------------------------------
+    def command(self, s: Signals, tau: Value) -> Value:
+        """The motor's torque from the commanded one, delays aside."""
+        for part in self._command:
+            tau = part.effect.map(s, part.p, tau)
+        return tau
+
+    def command_delay(self) -> Value:
+        """Dead time of the command [s]."""
+        return sum((part.effect.delay(part.p) for part in self._late), 0.0)
+
+    @property
+    def max_command_delay(self) -> float:
+        return sum(part.effect.max_delay for part in self._late)
+
+    # --- transmission ----------------------------------------------------------------------------
+    def _deflect(self, s: Signals) -> Value:
+        """Leave in s.phi and s.dphi what the deflection effects pass on; d phi' / d phi."""
+        slope: Value = 1.0
+        for part in self._deflection:
+            slope = slope * part.effect.slope(s, part.p)
+            s.phi = part.effect.map(s, part.p, s.phi)
+        s.dphi = slope * s.dphi
+        return slope
+
+    def transmission(self, s: Signals, z: Any, ahead: float = 0.0) -> Value:
+        """tau_t = K phi' + D dphi' and the spring effects' torques (formats: inside a play both vanish);
+        internal states as they will be `ahead` seconds on."""
+        phi, dphi = s.phi, s.dphi
+        self._deflect(s)
+        tau = self._spring_torque(s, z, ahead)
+        s.phi, s.dphi = phi, dphi
+        return tau
+
+    def _spring_torque(self, s: Signals, z: Any, ahead: float) -> Value:
+        tau = self.drive.K * s.phi + self.drive.D * s.dphi
+        for part in self._spring:
+            tau = tau + part.effect.torque(s, part.p, _state(part, s, z, ahead))
+        return tau
+
+    def linear_spring(self, s: Signals, z: Any, ahead: float) -> tuple[Value, Value, Value]:
+        """tau_t with its derivatives by phi and dphi: what the linearly implicit scheme needs."""
+        phi, dphi = s.phi, s.dphi
+        slope = self._deflect(s)
+        tau, stiffness, damping = self._spring_torque(s, z, ahead), self.drive.K, self.drive.D
+        for part in self._spring:
+            stiffness = stiffness + part.effect.slope(s, part.p)
+            if part.slot >= 0:
+                damping = damping + ops.maximum(_by_velocity(part, s, z, ahead, "dphi")[1], 0.0)
+        s.phi, s.dphi = phi, dphi
+        return tau, slope * stiffness, slope * damping
+
+    # --- bodies ----------------------------------------------------------------------------------
+    def motor(self, s: Signals, z: Any, ahead: float) -> tuple[Value, Value]:
+        """Torque of the motor effects and how much of it resists the motor's velocity [N m s/rad]."""
+        return _resisting(self._motor, s, z, ahead, "dtheta")
+
+    def link(self, s: Signals, z: Any, ahead: float) -> tuple[Value, Value]:
+        """Torque of the link effects and how much of it resists the link's velocity [N m s/rad]."""
+        return _resisting(self._link, s, z, ahead, "dq")
+
+    def torques(self, s: Signals, z: Any) -> tuple[Value, Value]:
+        """Torques of the motor and of the link effects, dry friction aside."""
+        motor, link = 0.0, 0.0
+        for part in self._motor:
+            motor = motor + part.effect.torque(s, part.p, _state(part, s, z, 0.0))
+        for part in self._link:
+            link = link + part.effect.torque(s, part.p, _state(part, s, z, 0.0))
+        return motor, link
+
+    def motor_level(self, s: Signals) -> Value:
+        """Bound of the motor's dry friction."""
+        return sum((part.effect.level(s, part.p) for part in self._rubbing), 0.0)
+
+    def link_level(self, s: Signals) -> Value:
+        """Bound of the link's dry friction."""
+        return sum((part.effect.level(s, part.p) for part in self._link_rubbing), 0.0)
+
+    def rates(self, s: Signals, z: Any) -> list[tuple[int, Value]]:
+        """Place and time derivative of each internal state."""
+        return self._of_states(s, lambda part: part.effect.rate(s, part.p, z[part.slot]))
+
+    def advanced(self, s: Signals, z: Any, ahead: float) -> list[tuple[int, Value]]:
+        """Place and value, `ahead` seconds on, of each internal state; s holds the signals on the way."""
+        return self._of_states(s, lambda part: _state(part, s, z, ahead))
+
+    def _of_states(self, s: Signals, value: Callable[[Part], Value]) -> list[tuple[int, Value]]:
+        found = []
+        for part in self.stateful:
+            phi, dphi = s.phi, s.dphi
+            if part.effect.site is Site.SPRING:
+                self._deflect(s)
+            found.append((part.slot, value(part)))
+            s.phi, s.dphi = phi, dphi
+        return found
+
+    # --- sensors ---------------------------------------------------------------------------------
+    def read(self, channel: str, s: Signals, x: Value) -> Value:
+        """A sensor's reading of the true x, delays aside."""
+        for part in self._sensors:
+            if channel in part.effect.channels(part.p):
+                x = part.effect.map(s, part.p, x)
+        return x
+
+    def corrected(self, channel: str, s: Signals, reading: Value) -> Value:
+        """The true value behind a reading, delays aside, by Newton's method; the reading itself where the
+        sensor's slope is 0."""
+        x = reading
+        if self.reads_true(channel):
+            return x
+        for _ in range(INVERSION_ROUNDS):
+            seen = self.read(channel, s, x)
+            slope = (self.read(channel, s, x + STEP) - seen) / STEP
+            x = x - (seen - reading) / ops.where(ops.absolute(slope) > STEP, slope, 1.0)
+        return x
+
+    def reads_true(self, channel: str) -> bool:
+        """Whether no sensor effect concerns the channel."""
+        return not any(channel in part.effect.channels(part.p) for part in self._sensors)
+
+    def reading_delay(self, channel: str) -> Value:
+        """Dead time of a reading [s]."""
+        late = (part for part in self._sensors if channel in part.effect.channels(part.p))
+        return sum((part.effect.delay(part.p) for part in late), 0.0)
+
+    def max_reading_delay(self, channel: str) -> float:
+        late = (part for part in self._sensors if channel in part.effect.channels(part.p))
+        return sum(part.effect.max_delay for part in late)
+
+
+def _does(part: Part, site: Site, *methods: str) -> bool:
+    return part.effect.site is site and any(part.effect.overrides(method) for method in methods)
+
+
+def _state(part: Part, s: Signals, z: Any, ahead: float) -> Value:
+    """The internal state `ahead` seconds on, linearly implicit in itself: bounded for any rate constant."""
+    if part.slot < 0:
+        return 0.0
+    now = z[part.slot]
+    if ahead == 0.0:
+        return now
+    rate = part.effect.rate(s, part.p, now)
+    step = STEP * (1.0 + ops.absolute(now))
+    decay = ops.maximum((rate - part.effect.rate(s, part.p, now + step)) / step, 0.0)
+    return now + ahead * rate / (1.0 + ahead * decay)
+
+
+def _by_velocity(part: Part, s: Signals, z: Any, ahead: float, name: str) -> tuple[Value, Value]:
+    """A part's torque and its derivative by the named velocity, internal state included."""
+    velocity = getattr(s, name)
+    step = STEP * (1.0 + ops.absolute(velocity))
+    torque = part.effect.torque(s, part.p, _state(part, s, z, ahead))
+    setattr(s, name, velocity + step)
+    further = part.effect.torque(s, part.p, _state(part, s, z, ahead))
+    setattr(s, name, velocity)
+    return torque, (further - torque) / step
+
+
+def _resisting(
+    parts: Sequence[Part], s: Signals, z: Any, ahead: float, name: str
+) -> tuple[Value, Value]:
+    torque, resistance = 0.0, 0.0
+    for part in parts:
+        more, slope = _by_velocity(part, s, z, ahead, name)
+        torque = torque + more
+        resistance = resistance + ops.maximum(-slope, 0.0)
+    return torque, resistance

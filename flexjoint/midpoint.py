@@ -1,0 +1,297 @@
+"""The default scheme: linearly implicit midpoint with dry friction as a set.
+
+With a = h/2 the motor and spring equations at the midpoint,
+
+    B (w - dtheta)/a = tau - D_m w - tau_t,    tau_t = r + k_d (w - v_mid),    k_d = a K + D,
+
+are linear in the motor's midpoint velocity: w = c0 + c1 v_mid. That leaves the link a constant torque
+r + k_d c0 - kappa v and, as v_mid = v + a acc, an armature a kappa, with kappa = k_d (1 - c1): one
+articulated-body call solves the whole step. r = K phi for a linear spring; others are linearised. Forces
+that depend on anything else are evaluated at the predicted midpoint (q + a v, v + a acc of the last step,
+...), whose error is O(h^2), so order 2 holds; what resists a velocity is linearised in it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from flexjoint import ops
+from flexjoint.effect import Signals
+from flexjoint.flow import JointFlow
+from flexjoint.model import FlexibleJointModel, State
+from flexjoint.ops import Value
+
+SWEEPS = 50  # of Gauss-Seidel over link frictions; each shrinks the error by the coupling through M^-1
+TINY = 1e-12  # [rad/s] carries the direction of a velocity of 0
+
+
+class Midpoint:
+    """The scheme for one model and step h [s]; `step` maps (state, tau_m (n,)) to the state h later.
+
+    Numbers and CasADi run through the same lines.
+    """
+
+    def __init__(self, model: FlexibleJointModel, h: float) -> None:
+        self.model, self.h, self.a = model, h, 0.5 * h
+        a, joints = self.a, model.joints
+        drives = [model.flows[i].drive for i in model.flexible]
+        self.K, self.B = (model.vector(getattr(d, name) for d in drives) for name in ("K", "B"))
+        D, D_m = (model.vector(getattr(d, name) for d in drives) for name in ("D", "D_m"))
+        self.kd = a * self.K + D
+        self.den = self.B + a * (D_m + self.kd)
+        self.c1 = a * self.kd / self.den
+        self.kap = self.kd * (1.0 - self.c1)
+        self.of_q = _places([joints[i].idx_q for i in model.flexible])
+        self.of_v = _places([joints[i].idx_v for i in model.flexible])
+        self.of_u = _places(list(model.flexible))
+        self.armature = model.zeros(model.nv)
+        self.armature[self.of_v] = a * self.kap
+        self.special = [
+            (i, model.flexible.index(i) if i in model.flexible else -1, flow)
+            for i, flow in enumerate(model.flows)
+            if flow.busy or flow.joint.rigid
+        ]
+        self.rubbing = [
+            i
+            for i, flow in enumerate(model.flows)
+            if flow.link_rubs or (flow.joint.rigid and flow.motor_rubs)
+        ]
+        self.sweeps = 1 if len(self.rubbing) == 1 else SWEEPS
+
+    def step(self, x: State, tau_m: Value) -> State:
+        model, a = self.model, self.a
+        q_mid = model.body.integrate(x.q, a * x.v)
+        v_mid = x.v + a * x.acc
+        spring = self.K * (x.theta - x.q[self.of_q])
+        c0 = (self.B * x.dtheta + a * (tau_m[self.of_u] - spring)) / self.den
+        c1, armature = self.c1, self.armature
+        tau = model.zeros(model.nv)
+        tau[self.of_v] = spring + self.kd * c0 - self.kap * x.v[self.of_v]
+        lines: dict[int, Line] = {}
+        if self.special:
+            c1, armature = _copy(c1), _copy(armature)
+            at = _Midway(model, x, q_mid, v_mid, tau_m)
+            for i, k, flow in self.special:
+                line = _rigid(flow, at, i, a) if k < 0 else _flexible(flow, at, i, k, a)
+                lines[i] = line
+                tau[flow.joint.idx_v], armature[flow.joint.idx_v] = line.tau, line.armature
+                if k >= 0:
+                    c0[k], c1[k] = line.c0, line.c1
+        acc = model.body.aba(q_mid, v_mid, tau, armature)
+        if self.rubbing:
+            acc = self._rub(x, q_mid, v_mid, tau, armature, acc, lines)
+        return self._finish(x, acc, c0, c1, lines)
+
+    def _rub(
+        self,
+        x: State,
+        q_mid: Value,
+        v_mid: Value,
+        tau: Value,
+        armature: Value,
+        acc: Value,
+        lines: dict[int, Line],
+    ) -> Value:
+        """The acceleration under the links' dry friction f: |f_j| <= level_j, and f_j = level_j sgn v_j
+        where the midpoint velocity v + a (acc - M^-1 f) is not 0; projected Gauss-Seidel.
+
+        The columns M^-1 e_j come from the same ABA, which is affine in tau.
+        """
+        model, a = self.model, self.a
+        places = [model.joints[i].idx_v for i in self.rubbing]
+        columns, free, levels = [], [], []
+        for i, place in zip(self.rubbing, places, strict=True):
+            unit = _copy(tau)
+            unit[place] = unit[place] + 1.0
+            columns.append(model.body.aba(q_mid, v_mid, unit, armature) - acc)
+            free.append(x.v[place] + a * acc[place])
+            levels.append(lines[i].link_level(model.flows[i], free[-1]))
+        count = range(len(places))
+        force: list[Value] = [0.0 for _ in count]
+        for _ in range(self.sweeps):
+            moved = 0.0
+            for j in count:
+                left = free[j] - a * sum(columns[k][places[j]] * force[k] for k in count)
+                before = force[j]
+                force[j] = ops.clip(before + left / (a * columns[j][places[j]]), -levels[j], levels[j])
+                moved = moved if model.symbolic else max(moved, abs(force[j] - before) / (levels[j] + TINY))
+            if not model.symbolic and moved < TINY:
+                break
+        for j in count:
+            acc = acc - columns[j] * force[j]
+            line = lines[self.rubbing[j]]
+            line.friction, line.link_sticks = force[j], ops.absolute(force[j]) < levels[j]
+        return acc
+
+    def _finish(self, x: State, acc: Value, c0: Value, c1: Value, lines: dict[int, Line]) -> State:
+        model, h, a = self.model, self.h, self.a
+        v_mid = x.v + a * acc
+        v = v_mid + a * acc
+        for i in self.rubbing:
+            place = model.joints[i].idx_v
+            sticks = lines[i].link_sticks
+            v_mid[place] = ops.where(sticks, 0.0, v_mid[place])
+            v[place] = _at_rest(sticks, v_mid[place], v[place])
+            acc[place] = ops.where(sticks, 0.0, acc[place])
+        w_mid = c0 + c1 * v_mid[self.of_v]
+        w = 2.0 * w_mid - x.dtheta
+        ddtheta = (w_mid - x.dtheta) / a
+        tau_rigid = _copy(x.tau_rigid)
+        for i, k, flow in self.special:
+            if k < 0:
+                tau_rigid[model.rigid.index(i)] = lines[i].carried(acc[flow.joint.idx_v])
+            elif flow.motor_rubs:
+                sticks = lines[i].sticks
+                w[k] = _at_rest(sticks, w_mid[k], w[k])
+                ddtheta[k] = ops.where(sticks, 0.0, ddtheta[k])
+        z = self._advance(x, v_mid, w_mid) if model.nz else x.z
+        q, theta = model.body.integrate(x.q, h * v_mid), x.theta + h * w_mid
+        return State(x.t + h, q, v, theta, w, z, acc, ddtheta, tau_rigid)
+
+    def _advance(self, x: State, v_mid: Value, w_mid: Value) -> Value:
+        """Internal states a step later, driven by the midpoint's velocities."""
+        model = self.model
+        z = _copy(x.z)
+        q_mid = model.body.integrate(x.q, self.a * v_mid)
+        at = _Midway(model, x, q_mid, v_mid, model.zeros(len(model.joints)))
+        speeds = model.items(w_mid)
+        for i, k, flow in self.special:
+            if not flow.stateful:
+                continue
+            s = at.signals(i, k, self.a)
+            if k >= 0:
+                s.theta, s.dtheta = at.theta[k] + self.a * speeds[k], speeds[k]
+                s.phi, s.dphi = s.theta - s.q, s.dtheta - s.dq
+            for slot, value in flow.advanced(s, at.z, self.h):
+                z[slot] = value
+        return z
+
+
+class Line:
+    """What a joint with effects contributes to a step: its motor as c0 + c1 v_mid, and the torque and
+    armature on its link."""
+
+    __slots__ = (
+        "armature", "c0", "c1", "friction", "inertia", "link_sticks", "motor", "motor_level", "level",
+        "signals", "sticks", "tau",
+    )  # fmt: skip
+
+    def __init__(self, signals: Signals, tau: Value, armature: Value) -> None:
+        self.signals, self.tau, self.armature = signals, tau, armature
+        self.c0: Value = 0.0
+        self.c1: Value = 0.0
+        self.sticks: Value = False
+        self.motor: Value = 0.0
+        self.inertia: Value = 0.0
+        self.friction: Value = 0.0
+        self.link_sticks: Value = False
+        self.level: Value = 0.0
+        self.motor_level: Value = 0.0
+
+    def link_level(self, flow: JointFlow, velocity: Value) -> Value:
+        """Bound of the dry friction on the link; a rigid joint's motor rubs there too."""
+        s = self.signals
+        s.dq = _directed(s.dq, velocity)
+        self.level = flow.link_level(s)
+        if flow.joint.rigid:
+            s.dtheta = s.dq
+            self.motor_level = flow.motor_level(s)
+            self.level = self.level + self.motor_level
+        return self.level
+
+    def carried(self, acc: Value) -> Value:
+        """Torque through a rigid transmission: the motor's less what moves the motor and its friction."""
+        return self.motor - self.inertia * acc - self.friction * self.motor_level / (self.level + TINY)
+
+
+def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
+    """A flexible joint with effects; the formulas of this file's head with all terms."""
+    s = at.signals(i, k, a)
+    drive, w, phi, v = flow.drive, at.dtheta[k], at.theta[k] - at.q[flow.joint.idx_q], at.v[flow.joint.idx_v]
+    if flow.nonlinear_spring:
+        tau_t, stiffness, damping = flow.linear_spring(s, at.z, a)
+        r, kd = tau_t + stiffness * (phi - s.phi) - damping * s.dphi, a * stiffness + damping
+    else:
+        r, kd = drive.K * phi, a * drive.K + drive.D
+    s.tau_t = r + kd * s.dphi
+    on_motor, resists = flow.motor(s, at.z, a)
+    den = drive.B + a * (drive.D_m + resists + kd)
+    push = drive.B * w + a * (flow.command(s, s.tau_m) + on_motor + resists * s.dtheta - r)
+    c0, c1, sticks = push / den, a * kd / den, False
+    if flow.motor_rubs:
+        wanted = push + a * kd * s.dq  # den times the midpoint velocity that dry friction has to stop
+        velocity = s.dtheta
+        s.dtheta = _directed(velocity, wanted)
+        level = a * flow.motor_level(s)
+        s.dtheta = velocity
+        sticks = ops.absolute(wanted) <= level
+        c0 = ops.where(sticks, 0.0, (push - ops.where(wanted < 0.0, -level, level)) / den)
+        c1 = ops.where(sticks, 0.0, c1)
+    kap = kd * (1.0 - c1)
+    on_link, link_resists = flow.link(s, at.z, a)
+    tau = r + kd * c0 - kap * v + on_link + link_resists * (s.dq - v)
+    line = Line(s, tau, a * (kap + link_resists))
+    line.c0, line.c1, line.sticks = c0, c1, sticks
+    return line
+
+
+def _rigid(flow: JointFlow, at: _Midway, i: int, a: float) -> Line:
+    """A rigid joint: the motor's inertia and damping act on the link."""
+    s = at.signals(i, -1, a)
+    drive, v = flow.drive, at.v[flow.joint.idx_v]
+    on_motor, resists = flow.motor(s, at.z, a)
+    on_link, link_resists = flow.link(s, at.z, a)
+    motor = flow.command(s, s.tau_m) + on_motor + resists * (s.dq - v) - drive.D_m * v
+    inertia = drive.B + a * (drive.D_m + resists)
+    line = Line(s, motor + on_link + link_resists * (s.dq - v), inertia + a * link_resists)
+    line.motor, line.inertia = motor, inertia
+    return line
+
+
+class _Midway:
+    """A state and its predicted midpoint as scalars, and the signals of a joint there."""
+
+    __slots__ = ("ddtheta", "dtheta", "joints", "model", "q", "q_mid", "t", "tau_m", "tau_rigid", "theta",
+                 "v", "v_mid", "z")  # fmt: skip
+
+    def __init__(self, model: FlexibleJointModel, x: State, q_mid: Value, v_mid: Value, tau_m: Value) -> None:
+        items = model.items
+        self.model, self.joints, self.t = model, model.joints, x.t
+        self.q, self.v, self.q_mid, self.v_mid = items(x.q), items(x.v), items(q_mid), items(v_mid)
+        self.theta, self.dtheta, self.ddtheta = items(x.theta), items(x.dtheta), items(x.ddtheta)
+        self.z, self.tau_m, self.tau_rigid = items(x.z), items(tau_m), items(x.tau_rigid)
+
+    def signals(self, i: int, k: int, a: float) -> Signals:
+        """Of the actuated joint i, the k-th flexible one (-1: rigid); phi from the present velocities."""
+        joint = self.joints[i]
+        q, dq, t = self.q_mid[joint.idx_q], self.v_mid[joint.idx_v], self.t + a
+        if k < 0:
+            tau_t = self.tau_rigid[self.model.rigid.index(i)]
+            return Signals(t, q, dq, q, dq, 0.0, 0.0, tau_t, self.tau_m[i])
+        theta, dtheta = self.theta[k] + a * self.dtheta[k], self.dtheta[k] + a * self.ddtheta[k]
+        return Signals(t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, self.tau_m[i])
+
+
+def _directed(size: Value, direction: Value) -> Value:
+    """|size|, at least TINY, with the sign of direction: dry friction resists the motion to come."""
+    size = ops.maximum(ops.absolute(size), TINY)
+    return ops.where(direction < 0.0, -size, size)
+
+
+def _at_rest(sticks: Value, midpoint: Value, end: Value) -> Value:
+    """The velocity after a step with dry friction: 0 where it sticks; where the midpoint rule would turn it
+    round, the midpoint's (a stuck joint would otherwise ring for ever)."""
+    return ops.where(sticks, 0.0, ops.where(midpoint * end < 0.0, midpoint, end))
+
+
+def _places(indices: list[int]) -> Any:
+    """Indices of a vector's entries: a slice where they are consecutive (much quicker), else a list."""
+    if indices == list(range(len(indices))):
+        return slice(0, len(indices))
+    return indices
+
+
+def _copy(vector: Value) -> Value:
+    return vector.copy() if isinstance(vector, np.ndarray) else type(vector)(vector)

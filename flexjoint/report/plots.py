@@ -1,0 +1,198 @@
+"""Figures as SVG images inside the page. Names of users never enter a figure: they stand in the caption."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flexjoint.report import series
+from flexjoint.report.wording import signal_name, unit_of
+
+# Blue and orange stay apart for every common colour vision; dashes tell them apart in grey print.
+INK, RULE = "#1f2933", "#cbd2d9"
+MEASURED, BEFORE, AFTER = "#9aa5b1", "#c2570c", "#0b5cad"
+SIZE = (4.6, 2.35)  # inches; two of them side by side on a desk, one below the other on a phone
+MARGINS = {"left": 0.175, "right": 0.985, "top": 0.93, "bottom": 0.205}
+STYLE = {
+    "svg.hashsalt": "flexjoint",
+    "svg.fonttype": "path",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.edgecolor": RULE,
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.limits": (-3, 5),
+    "axes.formatter.use_mathtext": True,
+    "grid.color": "#edf0f2",
+    "grid.linewidth": 0.8,
+    "xtick.color": RULE,
+    "ytick.color": RULE,
+    "xtick.labelcolor": "#52606d",
+    "ytick.labelcolor": "#52606d",
+    "lines.linewidth": 1.2,
+    "lines.solid_joinstyle": "round",
+}
+BUCKETS = 450
+POINTS = 1200
+DASHES = (4, 2)
+
+
+@dataclass(frozen=True)
+class Image:
+    """An SVG as a data URI with its natural size [pt] and the text for those who cannot see it."""
+
+    uri: str
+    width: float
+    height: float
+    alt: str
+
+
+@contextmanager
+def _styled() -> Iterator[None]:
+    with matplotlib.style.context(["default", STYLE]):
+        yield
+
+
+def traces(
+    time: np.ndarray,
+    measured: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray | None,
+    channel: str,
+    alt: str,
+) -> Image:
+    """A measured signal with the simulations on it, each (N,) at `time` [s]."""
+    with _styled():
+        figure, axes = _axes("time [s]", _label(channel))
+        axes.plot(*series.thinned(time, measured, BUCKETS), color=MEASURED, linewidth=2.8)
+        axes.plot(*series.thinned(time, before, BUCKETS), color=BEFORE, dashes=DASHES)
+        if after is not None:
+            axes.plot(*series.thinned(time, after, BUCKETS), color=AFTER)
+        _tight(axes, time)
+        return _image(figure, alt)
+
+
+def errors(
+    time: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray | None,
+    channel: str,
+    marked: tuple[float, float],
+    since: float | None,
+    alt: str,
+) -> Image:
+    """Simulated minus measured over the whole recording, each (N,); the excerpt is shaded."""
+    with _styled():
+        unit = unit_of(channel)
+        figure, axes = _axes("time [s]", f"error of {channel}" + (f" [{unit}]" if unit else ""))
+        axes.axvspan(*marked, color="#e4e7eb", linewidth=0)
+        axes.axhline(0.0, color=RULE, linewidth=0.8)
+        axes.plot(*series.thinned(time, before, BUCKETS), color=BEFORE, linewidth=0.8)
+        if after is not None:
+            axes.plot(*series.thinned(time, after, BUCKETS), color=AFTER, linewidth=0.8)
+        if since is not None:
+            axes.axvline(since, color=INK, linewidth=1.0, linestyle=":")
+        _tight(axes, time)
+        return _image(figure, alt)
+
+
+def dependence(
+    x: np.ndarray, before: np.ndarray, after: np.ndarray | None, signal: str, noise: float, alt: str
+) -> Image:
+    """A balance's residual [N m] over a signal, each (N,): samples, binned median, middle half."""
+    with _styled():
+        figure, axes = _axes(_label(signal), "residual [N m]")
+        axes.axhline(0.0, color=RULE, linewidth=0.8)
+        for level in (-2 * noise, 2 * noise):
+            axes.axhline(level, color="#52606d", linewidth=0.7, linestyle=(0, (1, 3)))
+        step = max(1, x.size // POINTS)
+        shown: list[tuple[np.ndarray, str, tuple[float, ...]]] = [(before, BEFORE, DASHES)]
+        if after is not None:
+            shown.append((after, AFTER, (1, 0)))
+        for values, colour, dashes in shown:
+            axes.plot(
+                x[::step],
+                values[::step],
+                ".",
+                color=colour,
+                markersize=2.2,
+                alpha=0.25,
+                markeredgewidth=0,
+                rasterized=True,
+            )
+            bins = series.binned(x, values)
+            axes.fill_between(bins.x, bins.low, bins.high, color=colour, alpha=0.18, linewidth=0)
+            axes.plot(bins.x, bins.median, color=colour, linewidth=1.6, dashes=dashes)
+        _robust_limits(axes, [values for values, _, _ in shown], noise)
+        return _image(figure, alt)
+
+
+def formula(latex: str) -> Image | None:
+    """LaTeX as an image; None where mathtext does not know it."""
+    with _styled():
+        figure = Figure(figsize=(0.1, 0.1))
+        figure.text(0, 0, f"${latex}$", fontsize=11, color=INK)
+        try:
+            return _image(figure, latex, tight=True)
+        except (ValueError, RuntimeError):  # what mathtext raises on input that it cannot parse
+            return None
+
+
+def _label(signal: str) -> str:
+    unit = unit_of(signal)
+    return signal_name(signal) + (f" [{unit}]" if unit else "")
+
+
+def _axes(xlabel: str, ylabel: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=SIZE)
+    figure.subplots_adjust(**MARGINS)  # the same in all, so that plots stand in line
+    axes = figure.add_subplot()
+    # a signal's name may hold a $, which is not meant as mathematics
+    axes.xaxis.label.set_parse_math(False)
+    axes.yaxis.label.set_parse_math(False)
+    axes.set_xlabel(xlabel)
+    axes.set_ylabel(ylabel)
+    axes.yaxis.set_label_coords(-0.165, 0.5)
+    axes.locator_params(nbins=6)
+    return figure, axes
+
+
+def _tight(axes: Axes, time: np.ndarray) -> None:
+    if time.size and time[-1] > time[0]:
+        axes.set_xlim(float(time[0]), float(time[-1]))
+
+
+def _robust_limits(axes: Axes, values: list[np.ndarray], noise: float) -> None:
+    """Limits that a few outliers do not blow up."""
+    together = np.concatenate(values)
+    together = together[np.isfinite(together)]
+    if together.size:
+        low, high = np.percentile(together, [0.5, 99.5])
+        low, high = min(float(low), -2.5 * noise), max(float(high), 2.5 * noise)
+        margin = 0.06 * (high - low) or 1.0
+        axes.set_ylim(low - margin, high + margin)
+
+
+def _image(figure: Figure, alt: str, tight: bool = False) -> Image:
+    stream = io.StringIO()
+    bare = dict.fromkeys(("Date", "Creator", "Format", "Type"))  # the same diagnosis, the same bytes
+    box = {"bbox_inches": "tight", "pad_inches": 0.02} if tight else {}
+    figure.savefig(stream, format="svg", dpi=144, metadata=bare, transparent=True, **box)
+    svg = stream.getvalue()
+    svg = svg[svg.index("<svg") :]  # the prolog names an external DTD
+    head = svg[: svg.index(">")]
+    width, height = (float(head.split(f'{side}="')[1].split("pt")[0]) for side in ("width", "height"))
+    encoded = base64.b64encode(svg.encode("utf-8")).decode("ascii")
+    return Image(f"data:image/svg+xml;base64,{encoded}", width, height, alt)

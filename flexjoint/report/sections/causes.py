@@ -1,0 +1,97 @@
+"""The named causes: parameters with standard errors, evidence, law, and what each is tied with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flexjoint.diagnosis import Finding
+from flexjoint.report import plots
+from flexjoint.report.material import Material
+from flexjoint.report.wording import (
+    capital,
+    cause,
+    clean,
+    effect_name,
+    fitted,
+    listed,
+    onset,
+    percent,
+    sentence,
+)
+
+
+@dataclass(frozen=True)
+class ParameterLine:
+    name: str
+    symbol: plots.Image | None
+    value: str
+
+
+@dataclass(frozen=True)
+class TieLine:
+    causes: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Cause:
+    title: str
+    about: str
+    parameters: tuple[ParameterLine, ...]
+    probability: str
+    gain: str
+    gain_share: float  # in [0, 1], for the bar
+    since: str
+    kind: str
+    change: bool  # the nominal model lists this effect: the parameters are the change
+    law: plots.Image | None
+    law_text: str
+    reference: str
+    ties: tuple[TieLine, ...]
+    hidden_by_refit: bool
+    note: str
+
+
+@dataclass(frozen=True)
+class CausesSection:
+    causes: tuple[Cause, ...]
+
+
+def build(material: Material) -> CausesSection:
+    return CausesSection(tuple(_cause(finding) for finding in material.diagnosis.findings))
+
+
+def _cause(finding: Finding) -> Cause:
+    effect = finding.planned.effect
+    symbols = {param.name: param.symbol for param in effect.params}
+    where = f" at {clean(finding.joint)}" if finding.joint is not None else ", the whole robot"
+    return Cause(
+        title=capital(effect_name(finding.effect)) + where,
+        about=sentence(" ".join((effect.__doc__ or "").split("\n\n")[0].split())),
+        parameters=tuple(
+            ParameterLine(
+                clean(name), plots.formula(symbols[name]) if symbols.get(name) else None, fitted(value)
+            )
+            for name, value in finding.parameters.items()
+        ),
+        probability=percent(finding.probability),
+        gain=percent(finding.gain),
+        gain_share=min(max(finding.gain, 0.0), 1.0),
+        since=onset(finding.since),
+        kind=clean(finding.kind),
+        change=finding.planned.nominal,
+        law=plots.formula(effect.law) if effect.law else None,
+        law_text=effect.law,
+        reference=clean(effect.reference),
+        ties=_ties(finding),
+        hidden_by_refit=finding.hidden_by_refit,
+        note=sentence(capital(finding.note)),
+    )
+
+
+def _ties(finding: Finding) -> tuple[TieLine, ...]:
+    """The tied causes, those with the same reason in one line."""
+    by_reason: dict[str, list[str]] = {}
+    for tie in finding.indistinguishable:
+        by_reason.setdefault(tie.why, []).append(cause(tie.effect, tie.joint))
+    return tuple(TieLine(listed(names, "or"), sentence(capital(why))) for why, names in by_reason.items())

@@ -1,0 +1,152 @@
+"""Names and numbers as a person reads them; shared by the page and the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from flexjoint.diagnosis import Finding, Fitted
+from flexjoint.effect import Kind, catalogue
+from flexjoint.recording import UNITS
+
+SIGNALS: Mapping[str, tuple[str, str]] = {
+    "t": ("time", "s"),
+    "q": ("link position q", "rad"),
+    "dq": ("link velocity dq", "rad/s"),
+    "ddq": ("link acceleration ddq", "rad/s²"),
+    "theta": ("motor position theta", "rad"),
+    "dtheta": ("motor velocity dtheta", "rad/s"),
+    "ddtheta": ("motor acceleration ddtheta", "rad/s²"),
+    "phi": ("deflection theta - q", "rad"),
+    "dphi": ("deflection rate", "rad/s"),
+    "tau_t": ("spring torque tau_t", "N m"),
+    "tau_m": ("motor torque command tau_m", "N m"),
+    "tau_motor": ("measured motor torque tau_motor", "N m"),
+}
+NOTHING = "–"
+_PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck", "lugre": "LuGre", "dahl": "Dahl"}
+
+
+def clean(text: object) -> str:
+    """Text of a file or a user without control and direction characters, which could garble a display."""
+    return "".join(c if c.isprintable() else "\ufffd" for c in str(text))
+
+
+def effect_name(name: str) -> str:
+    """motor_coulomb_friction -> motor Coulomb friction."""
+    return clean(" ".join(_PROPER.get(word, word) for word in name.split("_")))
+
+
+def cause(effect: str, joint: str | None) -> str:
+    """An effect and where it is: "backlash at elbow"; of the whole robot, its name alone."""
+    return f"{effect_name(effect)} at {clean(joint)}" if joint is not None else effect_name(effect)
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def sentence(text: str) -> str:
+    """Text that ends as a sentence does."""
+    text = clean(text.strip())
+    return text if not text or text[-1] in ".!?" else text + "."
+
+
+def listed(items: Iterable[str], last: str = "and") -> str:
+    """a, b and c."""
+    *names, end = list(items) or [""]
+    return f"{', '.join(names)} {last} {end}" if names else end
+
+
+def unit_of(signal: str) -> str:
+    """The unit of a channel or a derived signal; empty when unknown."""
+    return SIGNALS[signal][1] if signal in SIGNALS else UNITS.get(signal, "")
+
+
+def signal_name(signal: str) -> str:
+    return SIGNALS[signal][0] if signal in SIGNALS else clean(signal)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """A number and its unit; a dimensionless number stands alone."""
+    return text if unit in ("", "1", "-") else f"{text} {clean(unit)}"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number to so many significant digits; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    return f"{value:.{digits}g}" if abs(value) < 1e6 else f"{value:.{digits - 1}e}"
+
+
+def percent(share: float | None) -> str:
+    """0.871 -> 87%, 0.0312 -> 3.1%; never rounded up to certainty nor down to nothing."""
+    if share is None or not math.isfinite(share):
+        return NOTHING
+    if 0 < abs(share) < 0.001:
+        return "<0.1%"
+    if 0.995 <= share < 1:
+        return ">99%"
+    return f"{100 * share:.1f}%" if 0 < abs(share) < 0.0995 else f"{round(100 * share)}%"
+
+
+def with_error(value: float, std: float) -> str:
+    """A number and its standard error, both to the digits that the error supports: 0.0112 ± 0.0002."""
+    if not (math.isfinite(value) and math.isfinite(std)) or std <= 0:
+        return number(value, 4)
+    largest = max(abs(value), std)
+    power = 0 if 1e-4 <= largest < 1e6 else math.floor(math.log10(largest))
+    value, std = value / 10.0**power, std / 10.0**power
+    if std < 1e-6 * abs(value):  # a perfect fit: digits beyond six say nothing
+        text = f"{value:.6g} ± {std:.1g}"
+    else:
+        place = -math.floor(math.log10(std))
+        decimals = place + 1 if std * 10.0**place < 2 else place
+        shown = max(decimals, 0)
+        text = f"{round(value, decimals):.{shown}f} ± {round(std, decimals):.{shown}f}"
+    return text if power == 0 else f"({text})e{power:+03d}"
+
+
+def fitted(parameter: Fitted | str) -> str:
+    """A fitted parameter in full: value, standard error, unit, and whether it sits on a bound."""
+    if isinstance(parameter, str):
+        return clean(parameter)
+    values = parameter.value if isinstance(parameter.value, tuple) else (parameter.value,)
+    errors = parameter.std if isinstance(parameter.std, tuple) else (parameter.std,) * len(values)
+    pairs = [with_error(value, std) for value, std in zip(values, errors, strict=True)]
+    text = with_unit(f"[{', '.join(pairs)}]" if len(pairs) > 1 else pairs[0], parameter.unit)
+    return f"{text} (at its bound)" if parameter.at_bound else text
+
+
+def parameters(finding: Finding) -> str:
+    """All parameters of a finding in one line."""
+    return ", ".join(f"{clean(name)} {fitted(value)}" for name, value in finding.parameters.items())
+
+
+def values(effect: str, given: Mapping[str, Any]) -> str:
+    """Plain parameter values of an effect in one line, with the units that the catalogue states."""
+    known = catalogue().get(effect)
+    units = {p.name: p.unit for p in known.params} if known else {}
+    parts = []
+    for name, value in given.items():
+        if value is None:
+            continue
+        if isinstance(value, (list, tuple)):
+            shown = "[" + ", ".join(number(float(v)) for v in value) + "]"
+        else:
+            shown = clean(value) if isinstance(value, str) else number(float(value))
+        parts.append(f"{clean(name)} {with_unit(shown, units.get(name, ''))}")
+    return ", ".join(parts)
+
+
+def deviation(effect: str, value: float) -> str:
+    """The size of an effect: a scale reads as a percentage, anything else in the unit of its amplitude."""
+    known = catalogue().get(effect)
+    if known is not None and known.kind == Kind.PARAMETER:
+        return f"{100 * value:+.2g}%"
+    return with_unit(number(value), known.params[0].unit if known and known.params else "")
+
+
+def onset(since: float | None) -> str:
+    return "the start of the recording" if since is None else f"t = {since:.4g} s"

@@ -1,0 +1,28 @@
+"""Planted recordings: what a robot with a known defect would have recorded.
+
+The generator shares no code with the package it helps to test: laws.py writes every effect down from its definition,
+chain.py and machine.py have their own dynamics and their own way of stepping through dry friction.
+"""
+
+from .laws import CATALOGUE, Planted
+from .robots import ROBOTS, read_robot
+from .sensing import ENCODERS, FULL, LINK_SIDE, MOTOR_ONLY, NO_COMMAND, PERFECT, RAGGED, Ragged, SensorSet
+from .simulate import Recorded, plant
+
+__all__ = [
+    "CATALOGUE",
+    "ENCODERS",
+    "FULL",
+    "LINK_SIDE",
+    "MOTOR_ONLY",
+    "NO_COMMAND",
+    "PERFECT",
+    "RAGGED",
+    "ROBOTS",
+    "Planted",
+    "Ragged",
+    "Recorded",
+    "SensorSet",
+    "plant",
+    "read_robot",
+]

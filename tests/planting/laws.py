@@ -1,0 +1,307 @@
+"""The catalogue of effects, and the equations of motion of a machine that has some of them.
+
+phi = theta - q, w = dtheta. Everything acts in this order where several effects share a site:
+
+- command: tau_m is delayed, scaled by (1 + gain), shifted by the offset, clipped; cogging is added last (it is a force
+  of the motor, not of its drive). All but cogging act on held numbers and live in simulate.py.
+- motor: B theta'' = tau - tau_t - (D_m + coefficient) w - s level, where s in {-1, 0, 1} is the state of the dry
+  friction (0: stuck, w = 0) and `level` the sum of all dry laws. Dry friction sticks exactly: a stuck motor leaves
+  when the net torque exceeds the level at rest, a slipping one is caught at the instant w = 0 (Karnopp's model with
+  located events), so no creep and no smoothing width. A stuck link has its acceleration removed from
+  M q'' = tau_link by striking its row and column.
+- transmission: e = phi + transmission error, less half the gap on the engaged side (dead zone, located events as well);
+  tau_t = K e + cubic e^3 + D phi' (0 inside the gap) + z + preload, with Dahl's z as a state.
+- link: payload joins the body's mass, tilt turns gravity, the others are torques on q.
+- sensor: sensing.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from .chain import Array, body_load, inverse_dynamics, mass_matrix, point_load
+from .robots import Robot
+
+
+@dataclass(frozen=True)
+class Law:
+    site: str
+    required: tuple[str, ...]
+    defaults: dict[str, float | str | None] = field(default_factory=dict)
+    common: bool = False  # may have joint None: all joints, or the robot as a whole
+
+
+CATALOGUE: dict[str, Law] = {
+    "torque_gain": Law("command", ("gain",)),
+    "torque_offset": Law("command", ("offset",)),
+    "torque_delay": Law("command", ("delay",), common=True),
+    "torque_saturation": Law("command", ("limit",)),
+    "cogging": Law("command", ("amplitude", "cycles"), {"phase": 0.0}),
+    "motor_inertia": Law("motor", ("scale",)),
+    "motor_viscous_friction": Law("motor", ("coefficient",)),
+    "motor_coulomb_friction": Law("motor", ("level",)),
+    "asymmetric_friction": Law("motor", ("level_positive", "level_negative")),
+    "stribeck_friction": Law("motor", ("level", "static_extra", "velocity")),
+    "load_friction": Law("motor", ("coefficient",)),
+    "friction_drift": Law("motor", ("level", "time_constant")),
+    "spring_stiffness": Law("transmission", ("scale",)),
+    "spring_damping": Law("transmission", ("scale",)),
+    "hardening_spring": Law("transmission", ("cubic",)),
+    "backlash": Law("transmission", ("gap",)),
+    "spring_hysteresis": Law("transmission", ("level", "scale")),
+    "transmission_error": Law("transmission", ("amplitude", "cycles"), {"phase": 0.0}),
+    "spring_preload": Law("transmission", ("torque",)),
+    "payload": Law("link", ("mass", "position")),
+    "base_tilt": Law("link", ("roll", "pitch"), common=True),
+    "link_coulomb_friction": Law("link", ("level",)),
+    "link_viscous_friction": Law("link", ("coefficient",)),
+    "cable_spring": Law("link", ("stiffness", "rest")),
+    "end_stop": Law("link", ("position", "stiffness")),
+    "link_encoder_offset": Law("sensor", ("offset",)),
+    "motor_encoder_offset": Law("sensor", ("offset",)),
+    "encoder_eccentricity": Law("sensor", ("amplitude", "channel"), {"phase": 0.0}),
+    "torque_sensor_offset": Law("sensor", ("offset",)),
+    "torque_sensor_gain": Law("sensor", ("gain",)),
+    "sensor_delay": Law("sensor", ("delay",), {"channel": None}, common=True),
+}
+
+DRY_MOTOR = (
+    "motor_coulomb_friction",
+    "asymmetric_friction",
+    "stribeck_friction",
+    "load_friction",
+    "friction_drift",
+)
+"""Effects that make a motor stick."""
+
+
+@dataclass(frozen=True)
+class Planted:
+    """One effect put into the real machine; `since` [s] switches it on during the recording."""
+
+    effect: str
+    joint: str | None
+    parameters: dict[str, object]
+    since: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.effect not in CATALOGUE:
+            raise ValueError(f"unknown effect {self.effect!r}; the catalogue has {', '.join(CATALOGUE)}")
+        law = CATALOGUE[self.effect]
+        given, valid = set(self.parameters), {*law.required, *law.defaults}
+        if not set(law.required) <= given or not given <= valid:
+            raise ValueError(f"{self.effect} takes {sorted(valid)} (needs {law.required}), got {sorted(given)}")
+        if self.joint is None and not law.common:
+            raise ValueError(f"{self.effect} belongs to a joint; name it")
+
+    def value(self, name: str) -> float:
+        return float({**CATALOGUE[self.effect].defaults, **self.parameters}[name])  # type: ignore[arg-type]
+
+    def word(self, name: str) -> str | None:
+        return {**CATALOGUE[self.effect].defaults, **self.parameters}[name]  # type: ignore[return-value]
+
+
+def check(robot: Robot, effects: list[Planted]) -> None:
+    """Raises ValueError for a joint that the robot lacks or an effect planted twice on a joint."""
+    seen = set()
+    for planted in effects:
+        if planted.joint is not None:
+            robot.index(planted.joint)
+        if (planted.effect, planted.joint) in seen:
+            raise ValueError(f"{planted.effect} is planted twice on {planted.joint}")
+        seen.add((planted.effect, planted.joint))
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A place where the equations change: dry friction (mode -1, 0 stuck, 1) or a gap (-1, 0 inside, 1)."""
+
+    kind: str  # "motor", "link" or "gap"
+    joint: int
+
+
+class Equations:
+    """The right-hand side, as symbols, for one real robot with its planted effects.
+
+    State x (5 n,): q, dq, theta, dtheta, z. `modes` (number of switches,) and `gates` (number of effects, 1 when
+    active) are constant over a step. Attributes after construction: `rate` x', `torque` tau_t (n,), `margin`
+    (switches,) that is negative when a mode no longer holds, `drive` (switches,) whose sign is the next mode.
+    """
+
+    def __init__(self, robot: Robot, effects: list[Planted]) -> None:
+        check(robot, effects)
+        n = len(robot.joints)
+        self.robot, self.effects = robot, effects
+        self.switches = tuple(
+            Switch(kind, j)
+            for j in range(n)
+            for kind, names in (("motor", DRY_MOTOR), ("link", ("link_coulomb_friction",)), ("gap", ("backlash",)))
+            if any(p.effect in names and p.joint == robot.joints[j] for p in effects)
+        )
+        self.x = ca.SX.sym("x", 5 * n)
+        self.u, self.t = ca.SX.sym("u", n), ca.SX.sym("t")
+        self.modes = ca.SX.sym("modes", len(self.switches))
+        self.gates = ca.SX.sym("gates", len(effects))
+        self.q, self.dq, self.theta, self.dtheta, self.z = ca.vertsplit(self.x, n)
+        self._write()
+
+    def _on(self, effect: str, joint: int) -> tuple[Planted, ca.SX] | None:
+        """The planted effect on a joint (by index) and its gate; None when it is absent."""
+        for k, planted in enumerate(self.effects):
+            if planted.effect == effect and planted.joint == self.robot.joints[joint]:
+                return planted, self.gates[k]
+        return None
+
+    def _size(self, effect: str, joint: int, parameter: str) -> ca.SX:
+        """The gated value of a parameter in which the law is linear; 0 when the effect is absent."""
+        found = self._on(effect, joint)
+        return ca.SX(0) if found is None else found[1] * found[0].value(parameter)
+
+    def _mode(self, kind: str, joint: int) -> ca.SX | None:
+        switch = Switch(kind, joint)
+        return self.modes[self.switches.index(switch)] if switch in self.switches else None
+
+    def _spring(self, j: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """tau_t, dz/dt and the deflection that the gap sees, of joint j."""
+        robot = self.robot
+        phi, dphi = self.theta[j] - self.q[j], self.dtheta[j] - self.dq[j]
+        deflection = phi
+        if found := self._on("transmission_error", j):
+            p, gate = found
+            deflection += gate * p.value("amplitude") * ca.sin(p.value("cycles") * self.theta[j] + p.value("phase"))
+        side, engaged, half_gap = ca.SX(0), ca.SX(1), ca.SX(0)
+        if (mode := self._mode("gap", j)) is not None:
+            side, engaged, half_gap = mode, mode * mode, self._size("backlash", j, "gap") / 2
+        e = engaged * (deflection - side * half_gap)
+        stiffness = robot.stiffness[j] * (1 + self._size("spring_stiffness", j, "scale"))
+        damping = robot.damping[j] * (1 + self._size("spring_damping", j, "scale"))
+        torque = stiffness * e + self._size("hardening_spring", j, "cubic") * e**3 + engaged * damping * dphi
+        dz = ca.SX(0)
+        if found := self._on("spring_hysteresis", j):
+            p, gate = found
+            dz = gate * (p.value("level") / p.value("scale") * dphi - ca.fabs(dphi) * self.z[j] / p.value("scale"))
+        return torque + self.z[j] + self._size("spring_preload", j, "torque"), dz, deflection
+
+    def _dry_levels(self, j: int, torque: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Dry friction of motor j for forward and for backward motion [N m]."""
+        w = self.dtheta[j]
+        common = self._size("motor_coulomb_friction", j, "level")
+        common += self._size("load_friction", j, "coefficient") * ca.fabs(torque)
+        if found := self._on("stribeck_friction", j):
+            p, gate = found
+            bump = ca.exp(-((w / p.value("velocity")) ** 2))
+            common += gate * (p.value("level") + p.value("static_extra") * bump)
+        if found := self._on("friction_drift", j):
+            p, gate = found
+            common += gate * p.value("level") * ca.exp(-ca.fmax(self.t, 0) / p.value("time_constant"))
+        forward = common + self._size("asymmetric_friction", j, "level_positive")
+        backward = common + self._size("asymmetric_friction", j, "level_negative")
+        return forward, backward
+
+    def _loads_and_gravity(self) -> tuple[list, ca.SX]:
+        loads = [body_load(body) for body in self.robot.bodies]
+        gravity = ca.SX(self.robot.gravity)
+        for k, planted in enumerate(self.effects):
+            if planted.effect == "payload":
+                j = self.robot.index(planted.joint)
+                position = np.array(planted.parameters["position"], dtype=float)
+                loads[j] = loads[j] + point_load(self.gates[k] * planted.value("mass"), position)
+            elif planted.effect == "base_tilt":
+                tilted = ca.SX(_tilted(planted.value("roll"), planted.value("pitch"), self.robot.gravity))
+                gravity = gravity + self.gates[k] * (tilted - gravity)
+        return loads, gravity
+
+    def _link_torque(self, j: int) -> ca.SX:
+        """Smooth torques on link j beside the transmission."""
+        torque = -self._size("link_viscous_friction", j, "coefficient") * self.dq[j]
+        if found := self._on("cable_spring", j):
+            p, gate = found
+            torque += gate * p.value("stiffness") * (p.value("rest") - self.q[j])
+        if found := self._on("end_stop", j):
+            p, gate = found
+            beyond = self.q[j] - p.value("position")
+            pressed = ca.fmax(beyond, 0) if p.value("position") >= 0 else ca.fmin(beyond, 0)
+            torque -= gate * p.value("stiffness") * pressed
+        return torque
+
+    def _write(self) -> None:
+        robot, n = self.robot, len(self.robot.joints)
+        levels: dict[Switch, tuple[ca.SX, ca.SX]] = {}
+        net: dict[Switch, ca.SX] = {}
+        deflection: dict[Switch, ca.SX] = {}
+        tau_t, dz, ddtheta = ca.SX(n, 1), ca.SX(n, 1), ca.SX(n, 1)
+        for j in range(n):
+            tau_t[j], dz[j], seen = self._spring(j)
+            deflection[Switch("gap", j)] = seen
+            drive = self.u[j]
+            if found := self._on("cogging", j):
+                p, gate = found
+                drive += gate * p.value("amplitude") * ca.sin(p.value("cycles") * self.theta[j] + p.value("phase"))
+            viscous = robot.motor_damping[j] + self._size("motor_viscous_friction", j, "coefficient")
+            total = drive - tau_t[j] - viscous * self.dtheta[j]
+            inertia = robot.motor_inertia[j] * (1 + self._size("motor_inertia", j, "scale"))
+            mode = self._mode("motor", j)
+            if mode is None:
+                ddtheta[j] = total / inertia
+            else:
+                switch = Switch("motor", j)
+                levels[switch], net[switch] = self._dry_levels(j, tau_t[j]), total
+                ddtheta[j] = mode * mode * (total - _friction(mode, levels[switch])) / inertia
+
+        loads, gravity = self._loads_and_gravity()
+        bias = inverse_dynamics(list(robot.bodies), loads, gravity, self.q, self.dq, ca.SX(n, 1))
+        matrix = mass_matrix(list(robot.bodies), loads, self.q)
+        push, free = ca.SX(n, 1), ca.SX.ones(n)
+        for j in range(n):
+            push[j] = tau_t[j] - bias[j] + self._link_torque(j)
+            if (mode := self._mode("link", j)) is not None:
+                level = self._size("link_coulomb_friction", j, "level")
+                levels[Switch("link", j)] = (level, level)
+                push[j] -= mode * level
+                free[j] = mode * mode
+        struck = ca.diag(free) @ matrix @ ca.diag(free) + ca.diag(1 - free)
+        ddq = _solve_positive(struck, free * push)
+        for switch in self.switches:
+            if switch.kind == "link":  # what a stuck link's friction has to hold
+                net[switch] = push[switch.joint] - matrix[switch.joint, :] @ ddq
+
+        self.rate = ca.densify(ca.vertcat(self.dq, ddq, self.dtheta, ddtheta, dz))
+        self.torque = ca.densify(tau_t)
+        margins, drives = [], []
+        for k, switch in enumerate(self.switches):
+            mode, j = self.modes[k], switch.joint
+            if switch.kind == "gap":
+                half_gap = self._size("backlash", j, "gap") / 2
+                inside, outside = half_gap - ca.fabs(deflection[switch]), mode * deflection[switch] - half_gap
+                drives.append(deflection[switch])
+            else:
+                forward, backward = levels[switch]
+                speed = self.dtheta[j] if switch.kind == "motor" else self.dq[j]
+                inside = ca.fmin(forward - net[switch], backward + net[switch])
+                outside = mode * speed
+                drives.append(net[switch])
+            margins.append(ca.if_else(mode == 0, inside, outside))
+        self.margin = ca.densify(ca.vertcat(*margins)) if margins else ca.SX(0, 1)
+        self.drive = ca.densify(ca.vertcat(*drives)) if drives else ca.SX(0, 1)
+
+
+def _friction(mode: ca.SX, levels: tuple[ca.SX, ca.SX]) -> ca.SX:
+    """mode * (level of the direction of motion)."""
+    forward, backward = levels
+    return mode * ((1 + mode) * forward + (1 - mode) * backward) / 2
+
+
+def _tilted(roll: float, pitch: float, gravity: Array) -> Array:
+    """(Rx(roll) Ry(pitch))^T g."""
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    return (rx @ ry).T @ gravity
+
+
+def _solve_positive(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    diagonal, upper, permutation = ca.ldl(matrix)
+    return ca.ldl_solve(right, diagonal, upper, permutation)
