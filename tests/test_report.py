@@ -5,208 +5,31 @@ from __future__ import annotations
 import base64
 import re
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
-import numpy as np
+import matplotlib as mpl
 import pytest
+from fake_diagnosis import (
+    JOINTS,
+    Simulated,
+    arm,
+    causes,
+    delay,
+    friction,
+    healthy,
+    refused,
+    signals,
+    simulation,
+    unexplained,
+    views,
+)
 
 from flexjoint import diagnosis as d
 from flexjoint import recording, report, robot
-from flexjoint.effect import plan
+from flexjoint.effect import Effect, Planned, catalogue, plan
 from flexjoint.errors import FlexJointError, MissingExtraError
-from flexjoint.report import merit, plots, sentences, series, wording
-
-URDF = """<robot name="arm2"><link name="base"/>
-{links}</robot>"""
-LINK = """<link name="l_{name}"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>
-<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="l_{name}"/><axis xyz="0 1 0"/></joint>
-"""
-JOINTS = ("shoulder", "elbow")
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """What flexjoint.compare hands over, as far as the page needs it."""
-
-    rms: dict[str, float]
-    nrmse: dict[str, float]
-    horizon: float
-    windows: int
-    time: np.ndarray
-    simulated: dict[tuple[str, str], np.ndarray]
-
-
-def arm(folder: Path, names: tuple[str, ...] = JOINTS) -> robot.Robot:
-    from xml.sax.saxutils import quoteattr
-
-    import yaml
-
-    links, parent = "", "base"
-    for name in names:
-        links += LINK.format(name="@", parent=parent).replace('"@"', quoteattr(name)).replace("l_@", f"l{len(links)}")
-        parent = f"l{links.rindex('<joint')}"
-    # links are numbered by their place; only the joints' names are the user's
-    parts, parent, links = [], "base", ""
-    for i, name in enumerate(names):
-        text = LINK.format(name=f"joint{i}", parent=parent)
-        parts.append(text.replace(f'joint name="joint{i}"', f"joint name={quoteattr(name)}"))
-        parent = f"l_joint{i}"
-    (folder / "arm2.urdf").write_text(URDF.format(links="".join(parts)), encoding="utf-8")
-    joint = {"stiffness": 260, "damping": 0.7, "motor_inertia": 0.09, "motor_damping": 6}
-    file = {"name": "arm2", "urdf": "arm2.urdf", "joints": {name: joint for name in names}}
-    (folder / "arm2.yaml").write_text(yaml.safe_dump(file), encoding="utf-8")
-    return robot.load(folder / "arm2.yaml")
-
-
-def signals(seconds: float = 20.0, rate: float = 250.0, seed: int = 1) -> recording.Recording:
-    """Smooth motion of both joints with a spring torque; noise as of 16-bit encoders."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(0.0, seconds, 1 / rate)
-    columns: dict[tuple[str, str], np.ndarray] = {}
-    for i, joint in enumerate(JOINTS):
-        q = 0.6 * np.sin(2.1 * time + i) + 0.25 * np.sin(5.3 * time + 2 * i)
-        dq = np.gradient(q, time)
-        tau = 4 * np.sin(q) + 0.3 * np.gradient(dq, time)
-        theta = q + tau / 260
-        for channel, values, noise in (
-            ("q", q, 1e-4),
-            ("dq", dq, 2e-3),
-            ("theta", theta, 1e-4),
-            ("dtheta", np.gradient(theta, time), 2e-3),
-            ("tau_t", tau, 0.02),
-        ):
-            columns[channel, joint] = values + noise * rng.standard_normal(time.size)
-    return recording.make(time, columns, "runs/monday.csv")
-
-
-def simulation(measured: recording.Recording, size: float, seed: int = 2) -> Simulated:
-    """The recording plus an error that grows in each window of 0.5 s and with the elbow's speed."""
-    rng = np.random.default_rng(seed)
-    time = measured.time
-    inside = (time % 0.5) / 0.5
-    simulated, rms, nrmse = {}, {}, {}
-    for (channel, joint), values in measured.columns.items():
-        spread = float(np.std(values))
-        wrong = size * spread * (1.0 if joint == "elbow" else 0.2)
-        error = wrong * inside * np.sin(1.3 * time) * np.sign(measured.get("dtheta", joint))
-        simulated[channel, joint] = np.where(time < time[-1] - 0.3, values + error, np.nan)
-        simulated[channel, joint] += 1e-3 * spread * rng.standard_normal(time.size)
-        left = simulated[channel, joint] - values
-        rms[f"{channel}.{joint}"] = float(np.sqrt(np.nanmean(left**2)))
-        nrmse[f"{channel}.{joint}"] = rms[f"{channel}.{joint}"] / spread
-    return Simulated(rms, nrmse, 0.5, 39, time, simulated)
-
-
-def views(measured: recording.Recording, left: float = 0.0) -> tuple[d.ResidualView, ...]:
-    """Motor, link and spring balances; dry friction on the elbow's motor, of which `left` stays."""
-    rng = np.random.default_rng(3)
-    out = []
-    for joint in JOINTS:
-        at = {c: measured.get(c, joint) for c in ("q", "dq", "theta", "dtheta", "tau_t")}
-        at["phi"] = at["theta"] - at["q"]
-        for balance, noise in (("motor", 0.05), ("link", 0.08), ("spring", 0.03)):
-            floor = noise * rng.standard_normal(measured.time.size)
-            lacking = -0.4 * np.sign(at["dtheta"]) if (joint, balance) == ("elbow", "motor") else 0.0
-            out.append(
-                d.ResidualView(joint, balance, measured.time, floor + lacking, floor + left * lacking, noise, at)
-            )
-    return tuple(out)
-
-
-def gain(before: Simulated, after: Simulated) -> d.Gain:
-    return d.Gain(
-        held_out=True,
-        horizon=0.5,
-        before={"rms": before.rms, "nrmse": before.nrmse},
-        after={"rms": after.rms, "nrmse": after.nrmse},
-        noise_floor={"rms": {key: 0.01 * before.rms[key] / before.nrmse[key] for key in before.rms}},
-    )
-
-
-def friction(joint: str = "elbow", why: str = "the motion never rests, so stiction does not show") -> d.Finding:
-    values = {"level": 0.4}
-    return d.Finding(
-        "motor_coulomb_friction",
-        joint,
-        0.973,
-        {"level": d.Fitted(0.4012, 0.0031, "N m")},
-        None,
-        0.71,
-        "mechanical",
-        plan("motor_coulomb_friction", joint, values),
-        indistinguishable=(d.Tie("stribeck_friction", joint, why), d.Tie("asymmetric_friction", joint, why)),
-        hidden_by_refit=True,
-    )
-
-
-def delay() -> d.Finding:
-    return d.Finding(
-        "sensor_delay",
-        "shoulder",
-        0.88,
-        {"delay": d.Fitted(0.00512, 0.00012, "s"), "channel": "theta"},
-        7.5,
-        0.09,
-        "timing",
-        plan("sensor_delay", "shoulder", {"delay": 0.005, "channel": "theta"}),
-        note="sets in after the pause",
-    )
-
-
-def causes(measured: recording.Recording, before: Simulated, after: Simulated) -> d.Diagnosis:
-    return d.Diagnosis(
-        "causes",
-        "two causes bring the residual down to its noise",
-        findings=(friction(), delay()),
-        unexplained=(d.Unexplained("elbow", "spring", 0.043, "theta"),),
-        not_excited=(("end_stop", "elbow"), ("end_stop", "shoulder"), ("cable_spring", "elbow")),
-        within_tolerance=(d.WithinTolerance("payload", "elbow", 0.008),),
-        comparison=gain(before, after),
-        next_experiment="hold the elbow still for 2 s between moves, so that stiction shows",
-        ranking=(
-            d.Ranked("motor_coulomb_friction", "elbow", 0.71, {"level": 0.4}),
-            d.Ranked("stribeck_friction", "elbow", 0.705, {"level": 0.39, "static_extra": 0.02}),
-            d.Ranked("motor_viscous_friction", "elbow", 0.31, {"coefficient": 0.4}),
-            d.Ranked("sensor_delay", "shoulder", 0.09, {"delay": 0.0051, "channel": "theta"}),
-            d.Ranked("payload", "elbow", 0.02, {"mass": 0.1, "position": (0.1, 0.0, 0.2)}),
-            d.Ranked("backlash", "elbow", -0.01, {"gap": 1e-4}),
-        ),
-        residuals=views(measured),
-        explained=0.96,
-        energy=(64.2, 1.04),
-        notes=("encoder offsets were estimated on the first 0.5 s",),
-    )
-
-
-def healthy(measured: recording.Recording, before: Simulated) -> d.Diagnosis:
-    return d.Diagnosis(
-        "healthy",
-        "nothing beats the noise and the tolerances",
-        within_tolerance=(d.WithinTolerance("payload", "elbow", 0.008),),
-        comparison=gain(before, before),
-        residuals=tuple(replace(v, before=v.after) for v in views(measured)),
-    )
-
-
-def unexplained(measured: recording.Recording, before: Simulated) -> d.Diagnosis:
-    return d.Diagnosis(
-        "unexplained",
-        "the best candidate removes 4 % of the error",
-        unexplained=(d.Unexplained("elbow", "motor", 0.93, "dtheta"),),
-        comparison=gain(before, before),
-        ranking=(d.Ranked("backlash", "elbow", 0.04, {"gap": 0.001}),),
-        residuals=views(measured, left=1.0),
-        next_experiment="turn the elbow slowly both ways",
-    )
-
-
-def refused() -> d.Diagnosis:
-    return d.Diagnosis(
-        "refused", "the recording holds no motor torque", next_experiment="record tau_m beside theta and q"
-    )
+from flexjoint.report import plots, sentences, wording
 
 
 class Page(HTMLParser):
@@ -231,6 +54,8 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open and self.open.pop() == tag, f"</{tag}> does not close what is open"
+        if tag in ("td", "th"):
+            self.text += " "
 
     def handle_data(self, data: str) -> None:
         if "style" not in self.open:
@@ -265,3 +90,188 @@ def pages(arm2, measured, before, after) -> dict[str, str]:
         "unexplained": report.render(unexplained(measured, before), arm2, measured, before, None),
         "refused": report.render(refused(), arm2, measured),
     }
+
+
+# --- what the page says ------------------------------------------------------------------------------
+
+
+def test_causes_are_named_with_numbers_and_ties(pages):
+    text = Page(pages["causes"]).text
+    for said in (
+        "Causes named",
+        "because the model lacks motor Coulomb friction at elbow (level 0.401 ± 0.003 N m)",
+        "On data that the fit did not see, adding these 2 causes to the model removes 90% of the error",
+        "cannot tell motor Coulomb friction at elbow from Stribeck friction at elbow or asymmetric friction"
+        " at elbow: the motion never rests",
+        "Motor Coulomb friction at elbow",
+        "Dry friction on the motor shaft",
+        "97%",
+        "Sensor delay at shoulder",
+        "0.00512 ± 0.00012 s",
+        "t = 7.5 s",
+        "A refit of the nominal numbers would absorb most of this cause",
+        "elbow, spring balance: 4.3% of its error, depends most on motor position theta",
+        "End stop: whole robot",
+        "Cable spring: elbow",
+        "payload at elbow: 0.008 kg",
+        "Hold the elbow still for 2 s between moves",
+        "Encoder offsets were estimated on the first 0.5 s.",
+        "motor viscous friction at elbow",
+        "64.2 before, 1.04 after",
+        "monday.csv",
+        "stiffness 2.0%, damping 10%",
+    ):
+        assert said in text, said
+
+
+def test_the_other_verdicts_say_what_they_are(pages):
+    healthy_text = Page(pages["healthy"]).text
+    assert "Healthy" in healthy_text and "agrees with the recording within the noise" in healthy_text
+    assert "with the named causes" not in healthy_text
+    lost = Page(pages["unexplained"]).text
+    assert "no effect of the catalogue accounts for it: 93% of the motor balance's error is left" in lost
+    assert "depends most on motor velocity dtheta" in lost and "Turn the elbow slowly both ways" in lost
+    none = Page(pages["refused"]).text
+    assert "cannot carry a verdict: the recording holds no motor torque." in none
+    assert "What to do: Record tau_m beside theta and q." in none
+
+
+def test_partial_findings_of_an_unexplained_error_are_named(arm2, measured, before, after):
+    partial = replace(unexplained(measured, before), findings=(delay(),))
+    assert (
+        "A part is explained by sensor delay at shoulder (9.0%)"
+        in sentences.verdict(partial, partial.comparison)[1]
+    )
+
+
+def test_the_error_table_holds_every_channel_worst_joint_first(pages, before):
+    text = Page(pages["causes"]).text
+    table = text[text.index("joint channel NRMSE before") : text.index("What the residual depends on")]
+    assert table.index("elbow") < table.index("shoulder")  # the elbow's error is five times larger
+    for channel in ("q", "dq", "theta", "dtheta", "tau_t"):
+        assert f" {channel} " in table
+    assert wording.number(before.nrmse["q.elbow"]) in table
+
+
+def test_the_residual_is_drawn_first_against_the_signal_of_the_effect(pages):
+    alts = [
+        alt
+        for alt in Page(pages["causes"]).images
+        if alt.startswith("Residual of the motor balance of elbow")
+    ]
+    assert len(alts) == 4
+    assert alts[0].endswith("over motor velocity dtheta")  # MotorCoulombFriction.against
+    assert not any("link velocity" in alt for alt in alts)  # one signal of a group
+
+
+def test_without_simulations_the_numbers_stay(arm2, measured, before, after):
+    page = Page(report.render(causes(measured, before, after), arm2, measured))
+    assert "Error per channel" in page.text
+    assert not any("measured and simulated" in alt for alt in page.images)
+
+
+def test_without_a_held_out_comparison_the_simulations_give_the_numbers(arm2, measured, before, after):
+    diagnosis = replace(causes(measured, before, after), comparison=None, residuals=())
+    text = Page(report.render(diagnosis, arm2, measured, before, after)).text
+    assert "On the data of the fit itself, adding these 2 causes to the model removes 90%" in text
+
+
+def test_a_change_of_a_nominal_effect_is_called_one(measured, before, after):
+    planned = plan("motor_viscous_friction", "elbow", {"coefficient": 1.0}, nominal=True)
+    finding = replace(friction(), effect="motor_viscous_friction", planned=planned, indistinguishable=())
+    assert sentences.because(finding).startswith("the model's motor viscous friction at elbow is off (level")
+
+
+def test_a_law_that_cannot_be_drawn_is_shown_as_text(arm2, measured):
+    class Odd(Effect):
+        """Odd."""
+
+        law = r"\nosuchmacro{<x>}"
+
+    finding = replace(friction(), planned=Planned(Odd(), "elbow", {}))
+    diagnosis = d.Diagnosis("causes", "odd", findings=(finding,))
+    html = report.render(diagnosis, arm2, measured)
+    assert r"<code>\nosuchmacro{&lt;x&gt;}</code>" in html
+
+
+@pytest.mark.parametrize("name", sorted(catalogue()))
+def test_laws_and_symbols_of_the_catalogue_can_be_drawn(name):
+    effect = catalogue()[name]
+    for latex in filter(None, (effect.law, *(param.symbol for param in effect.params))):
+        assert plots.formula(latex) is not None, latex
+
+
+# --- it stands alone ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verdict", ["causes", "healthy", "unexplained", "refused"])
+def test_the_page_needs_nothing_from_outside(pages, verdict):
+    html = pages[verdict]
+    page = Page(html)
+    assert page.open == []  # every tag is closed
+    assert not {"script", "link", "iframe", "object", "embed"} & set(page.tags)
+    for scheme in ("http://", "https://", "file://", "@import", "url("):
+        assert scheme not in html
+    assert len(html.encode()) < 4_000_000
+    assert page.tags.count("img") == len(page.links) == len([alt for alt in page.images if alt])
+    for link in page.links:
+        kind, _, content = link.partition(";base64,")
+        assert kind == "data:image/svg+xml"
+        svg = base64.b64decode(content).decode()
+        assert "<script" not in svg and "DOCTYPE" not in svg
+        assert all(ref.startswith(("#", "data:")) for ref in re.findall(r'href="([^"]*)"', svg))
+
+
+def test_the_same_diagnosis_gives_the_same_bytes(pages, arm2, measured, before, after):
+    with mpl.rc_context({"font.size": 23, "svg.hashsalt": "other", "axes.grid": False}):  # a user's taste
+        again = report.render(causes(measured, before, after), arm2, measured, before, after)
+    assert again == pages["causes"]
+
+
+def test_names_are_text_whatever_they_hold(arm2, measured, before, after):
+    evil = "<script>alert('1')</script>\" onerror=\"x\u202e\x1b[31m$\\frac{"
+    columns = {(c, evil if j == "elbow" else j): v for (c, j), v in measured.columns.items()}
+    bad = recording.make(measured.time, columns, f"{evil}.csv")
+    sims = [simulation(bad, size) for size in (0.5, 0.05)]
+    view = replace(views(measured)[3], joint=evil, balance=evil, signals={evil: measured.get("q", "elbow")})
+    finding = replace(friction(evil, why=evil), note=evil, kind=evil, parameters={evil: evil})
+    diagnosis = replace(
+        causes(bad_names(bad), *sims),
+        reason=evil,
+        findings=(finding,),
+        unexplained=(d.Unexplained(evil, evil, 0.1, evil),),
+        not_excited=((evil, evil),),
+        within_tolerance=(d.WithinTolerance(evil, evil, 0.1),),
+        ranking=(d.Ranked(evil, evil, 0.4, {evil: evil}),),
+        next_experiment=evil,
+        residuals=(view,),
+        notes=(evil,),
+    )
+    page = Page(report.render(diagnosis, replace(arm2, name=evil), bad, *sims))
+    assert page.open == [] and "script" not in page.tags
+    assert page.text.count("<script>alert('1')</script>") > 15
+    assert not any(c in page.text for c in "\u202e\x1b")
+    assert len(page.links) > 10
+
+
+def bad_names(measured: recording.Recording) -> recording.Recording:
+    """The same samples under the usual names."""
+    columns = {(c, JOINTS[i // 5]): v for i, ((c, _), v) in enumerate(measured.columns.items())}
+    return recording.make(measured.time, columns)
+
+
+@pytest.mark.parametrize("package", ["matplotlib", "jinja2"])
+def test_a_missing_package_is_named_with_the_extra(package, arm2, measured, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=rf"{package}.*flexjoint\[report\]"):
+        report.write(refused(), arm2, measured, tmp_path / "r.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_write_leaves_one_file_or_none(arm2, measured, tmp_path):
+    out = tmp_path / "new" / "r.html"
+    report.write(refused(), arm2, measured, out)
+    assert out.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert list(out.parent.iterdir()) == [out]
+    with pytest.raises(FlexJointError, match="cannot write"):
+        report.write(refused(), arm2, measured, out / "inside_a_file.html")

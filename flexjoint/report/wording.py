@@ -102,7 +102,7 @@ def with_error(value: float, std: float) -> str:
         text = f"{value:.6g} ± {std:.1g}"
     else:
         place = -math.floor(math.log10(std))
-        decimals = place + 1 if std * 10.0**place < 2 else place
+        decimals = place + 1 if std * 10.0**place < 1.95 else place
         shown = max(decimals, 0)
         text = f"{round(value, decimals):.{shown}f} ± {round(std, decimals):.{shown}f}"
     return text if power == 0 else f"({text})e{power:+03d}"

@@ -1,7 +1,8 @@
 """Planted recordings: what a robot with a known defect would have recorded.
 
-The generator shares no code with the package it helps to test: laws.py writes every effect down from its definition,
-chain.py and machine.py have their own dynamics and their own way of stepping through dry friction.
+The generator shares no code with the package it helps to test: laws.py writes every effect down from its
+definition, chain.py and machine.py have their own dynamics and their own way of stepping through dry
+friction.
 """
 
 from .laws import CATALOGUE, Planted

@@ -1,4 +1,4 @@
-"""Write a folder of planted cases: `python -m planting FOLDER [--seed 1] [--only PREFIX ...]`, from tests/."""
+"""Write a folder of planted cases; from tests/: python -m planting FOLDER [--seed 1] [--only PREFIX ...]"""
 
 import argparse
 from pathlib import Path

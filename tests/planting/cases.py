@@ -1,4 +1,4 @@
-"""Named cases with known truth: every effect of the catalogue, healthy, double, late, weak, inexact and half-blind ones.
+"""Named cases with known truth: every effect alone, healthy, double, late, weak, inexact and half-blind ones.
 
 A folder of cases has truth.json, robots/ and <case>/{train,fresh}.parquet.
 """
@@ -28,7 +28,7 @@ SLOW_EFFECTS = ("stribeck_friction", "torque_offset", "cogging", "transmission_e
 STEP_EFFECTS = ("torque_saturation", "end_stop")
 
 QUIET_FEEDBACK = replace(FULL, noisy_feedback=False)
-"""The controller of these cases reads its sensors without noise, so that a command between two recorded ones is smooth."""
+"""The controller reads its sensors without noise: the command is smooth between two recorded samples."""
 
 
 @dataclass(frozen=True)
@@ -46,19 +46,32 @@ class Case:
 
     def truth(self) -> dict[str, object]:
         """What truth.json says of the case; parameters that are words stand under `words`."""
-        return {"robot": self.robot, "excitation": self.excitation, "truth": [_truth(p) for p in self.effects]}
+        return {
+            "robot": self.robot,
+            "excitation": self.excitation,
+            "truth": [_truth(p) for p in self.effects],
+        }
 
     def train(self) -> Recorded:
         return self._plant(2 * self.seed, self.seconds, self.effects)
 
     def fresh(self) -> Recorded:
         """Effects that set in late are on from the start here."""
-        return self._plant(2 * self.seed + 1, self.seconds / 2, tuple(replace(p, since=None) for p in self.effects))
+        return self._plant(
+            2 * self.seed + 1, self.seconds / 2, tuple(replace(p, since=None) for p in self.effects)
+        )
 
     def _plant(self, seed: int, seconds: float, effects: tuple[Planted, ...]) -> Recorded:
         path = ROBOTS / f"{self.robot}.yaml"
         return plant(
-            path, list(effects), self.excitation, seconds, seed, self.sensors, inexact=self.inexact, plant_seed=self.seed
+            path,
+            list(effects),
+            self.excitation,
+            seconds,
+            seed,
+            self.sensors,
+            inexact=self.inexact,
+            plant_seed=self.seed,
         )
 
 
@@ -102,12 +115,18 @@ def usual_excitation(effect: str) -> str:
 
 
 def usual_effect(
-    effect: str, robot: str, joint: str, rng: np.random.Generator, size: float = 1.0, since: float | None = None
+    effect: str,
+    robot: str,
+    joint: str,
+    rng: np.random.Generator,
+    size: float = 1.0,
+    since: float | None = None,
 ) -> Planted:
-    """An effect of the usual size for a joint, varied by 20 % and times `size`; signs are drawn where both exist.
+    """An effect of the usual size for a joint, varied by 20 % and times `size`; signs are drawn where both
+    exist.
 
-    torque_saturation and end_stop depend on the trajectory and are sized by `single_case`. Raises ValueError for
-    them and for unknown names.
+    torque_saturation and end_stop depend on the trajectory and are sized by `single_case`. Raises ValueError
+    for them and for unknown names.
     """
     r = _nominal(robot)
     j = r.index(joint)
@@ -149,9 +168,13 @@ def usual_effect(
     }
     if effect == "payload":
         place = [_rounded(1.3 * c) for c in reach]
-        return Planted(effect, joint, {"mass": _rounded(0.3 * r.bodies[j].mass * s), "position": place}, since)
+        return Planted(
+            effect, joint, {"mass": _rounded(0.3 * r.bodies[j].mass * s), "position": place}, since
+        )
     if effect not in parameters:
-        raise ValueError(f"no usual size for {effect!r}; there is one for {', '.join((*parameters, 'payload'))}")
+        raise ValueError(
+            f"no usual size for {effect!r}; there is one for {', '.join((*parameters, 'payload'))}"
+        )
     values: dict[str, object] = {name: _rounded(value) for name, value in parameters[effect].items()}
     if effect == "encoder_eccentricity":
         values["channel"] = str(rng.choice(["q", "theta"]))
@@ -173,11 +196,13 @@ def single_case(
     inexact: float = 0.0,
     since: float | None = None,
 ) -> Case:
-    """A case of one effect; robot, joint and size are drawn from the name and the seed where they are not given."""
+    """A case of one effect; what is not given is drawn from the name and the seed."""
     rng = _rng(name, seed)
     robot = robot or str(rng.choice(SMALL_ROBOTS))
     joints = _nominal(robot).joints
-    joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))  # not on a vertical axis
+    joint = str(
+        rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints)
+    )  # not on a vertical axis
     excitation = excitation or usual_excitation(effect)
     case = Case(name, robot, excitation, (), int(rng.integers(1, 2**30)), sensors, inexact)
     if effect in STEP_EFFECTS:
@@ -188,7 +213,7 @@ def single_case(
 
 
 def _met_by(case: Case, effect: str, joint: str, size: float, since: float | None) -> Planted:
-    """A saturation or an end stop that the trajectory of the case reaches; a smaller size is met more rarely."""
+    """A saturation or an end stop that the trajectory reaches; a smaller size is met more rarely."""
     healthy, j = case.train(), _nominal(case.robot).index(joint)
     if effect == "torque_saturation":
         peak = np.abs(healthy.true["tau"][:, j]).max()
@@ -196,7 +221,12 @@ def _met_by(case: Case, effect: str, joint: str, size: float, since: float | Non
     q = healthy.true["q"][:, j]
     extreme = q[np.argmax(np.abs(q))]
     stiffness = 4 * _nominal(case.robot).stiffness[j]
-    return Planted(effect, joint, {"position": _rounded((1 - 0.45 * size) * extreme), "stiffness": _rounded(stiffness)}, since)
+    return Planted(
+        effect,
+        joint,
+        {"position": _rounded((1 - 0.45 * size) * extreme), "stiffness": _rounded(stiffness)},
+        since,
+    )
 
 
 def single_cases(seed: int, size: float = 1.0, effects: Sequence[str] = tuple(CATALOGUE)) -> list[Case]:
@@ -207,7 +237,10 @@ def single_cases(seed: int, size: float = 1.0, effects: Sequence[str] = tuple(CA
 def healthy_cases(seed: int) -> list[Case]:
     """Every small robot, fast and slow, and the seven-joint arm."""
     plans = [(robot, kind) for robot in SMALL_ROBOTS for kind in ("rich", "slow")] + [("reach", "rich")]
-    return [Case(f"healthy_{r}_{k}", r, k, (), int(_rng("healthy", r, k, seed).integers(1, 2**30))) for r, k in plans]
+    return [
+        Case(f"healthy_{r}_{k}", r, k, (), int(_rng("healthy", r, k, seed).integers(1, 2**30)))
+        for r, k in plans
+    ]
 
 
 def weak_cases(seed: int, effects: Sequence[str] = tuple(CATALOGUE)) -> list[Case]:
@@ -246,7 +279,13 @@ def double_cases(seed: int) -> list[Case]:
 
 def since_cases(
     seed: int,
-    effects: Sequence[str] = ("motor_coulomb_friction", "backlash", "spring_stiffness", "payload", "torque_gain"),
+    effects: Sequence[str] = (
+        "motor_coulomb_friction",
+        "backlash",
+        "spring_stiffness",
+        "payload",
+        "torque_gain",
+    ),
 ) -> list[Case]:
     """Causes that set in between 6 and 10 s."""
     cases = []
@@ -269,7 +308,7 @@ def inexact_cases(
         "torque_delay",
     ),
 ) -> list[Case]:
-    """Causes beside a nominal model whose every number is off by INEXACT, and healthy machines of that kind."""
+    """Causes beside a nominal model whose every number is off by INEXACT, and such healthy machines."""
     cases = [single_case(f"inexact_{effect}", effect, seed, inexact=INEXACT) for effect in effects]
     healthy = [replace(case, name=f"inexact_{case.name}", inexact=INEXACT) for case in healthy_cases(seed)]
     return cases + [case for case in healthy if case.excitation == "rich" and case.robot != "reach"]
@@ -288,7 +327,11 @@ def sensor_cases(seed: int) -> list[Case]:
         ("link_side", "payload", replace(LINK_SIDE, **quiet)),
         ("ragged", "spring_stiffness", replace(QUIET_FEEDBACK, ragged=Ragged())),
         ("ragged", "backlash", replace(QUIET_FEEDBACK, ragged=Ragged())),
-        ("ragged_sampled_late", "motor_coulomb_friction", replace(QUIET_FEEDBACK, ragged=Ragged(sampled_late=True))),
+        (
+            "ragged_sampled_late",
+            "motor_coulomb_friction",
+            replace(QUIET_FEEDBACK, ragged=Ragged(sampled_late=True)),
+        ),
         ("noisy_feedback", "load_friction", FULL),
         ("noisy_feedback", "torque_delay", FULL),
     )

@@ -1,9 +1,9 @@
 """Rigid-body dynamics of a fixed-base tree of revolute joints, written for this generator alone.
 
-The URDF is read here (fixed joints are merged), and the equations are the classical Newton-Euler recursion in body
-frames (Luh, Walker, Paul 1980) and the composite-body inertia matrix (Walker, Orin 1982), symbolically in CasADi.
-Every body is described about its own joint frame by mass m, first moment h = m c and inertia I, in which the
-equations are linear.
+The URDF is read here (fixed joints are merged), and the equations are the classical Newton-Euler recursion in
+body frames (Luh, Walker, Paul 1980) and the composite-body inertia matrix (Walker, Orin 1982), symbolically
+in CasADi. Every body is described about its own joint frame by mass m, first moment h = m c and inertia I, in
+which the equations are linear.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ class Body:
 
 
 def read_bodies(urdf: Path, lock: tuple[str, ...] = ()) -> list[Body]:
-    """The bodies of a URDF, parents first; `lock`ed joints are held at zero. Raises ValueError on other joint types."""
+    """The bodies of a URDF, parents first; joints in `lock` are held at zero.
+
+    Raises ValueError on joints that are neither revolute nor fixed.
+    """
     root = ET.parse(urdf).getroot()
     links = {link.get("name"): link for link in root.findall("link")}
     joints = root.findall("joint")
@@ -56,11 +59,17 @@ def read_bodies(urdf: Path, lock: tuple[str, ...] = ()) -> list[Body]:
             elif joint.get("type") in ("revolute", "continuous"):
                 axis = joint.find("axis")
                 direction = np.array([1.0, 0, 0]) if axis is None else _vector(axis.get("xyz", "1 0 0"))
-                bodies.append(Body(name, body, *placed, direction / np.linalg.norm(direction), 0, np.zeros(3), np.eye(3)))
+                bodies.append(
+                    Body(
+                        name, body, *placed, direction / np.linalg.norm(direction), 0, np.zeros(3), np.eye(3)
+                    )
+                )
                 loads.append([])
                 visit(child, len(bodies) - 1, np.eye(3), np.zeros(3))
             else:
-                raise ValueError(f"joint {name}: type {joint.get('type')} cannot be planted; use revolute or fixed")
+                raise ValueError(
+                    f"joint {name}: type {joint.get('type')} cannot be planted; use revolute or fixed"
+                )
 
     base = next(name for name in links if name is not None and name not in children)
     visit(base, -1, np.eye(3), np.zeros(3))
@@ -82,7 +91,14 @@ def _origin(element: ET.Element | None) -> tuple[Array, Array]:
     if element is None:
         return np.eye(3), np.zeros(3)
     roll, pitch, yaw = _vector(element.get("rpy", "0 0 0"))
-    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    cr, sr, cp, sp, cy, sy = (
+        np.cos(roll),
+        np.sin(roll),
+        np.cos(pitch),
+        np.sin(pitch),
+        np.cos(yaw),
+        np.sin(yaw),
+    )
     rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
@@ -93,7 +109,9 @@ def _placed(inertial: ET.Element, rotation: Array, position: Array) -> tuple[flo
     own_rotation, own_position = _origin(inertial.find("origin"))
     mass = float(_attribute(inertial.find("mass"), "value"))
     tensor = inertial.find("inertia")
-    xx, xy, xz, yy, yz, zz = (float(_attribute(tensor, k)) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    xx, xy, xz, yy, yz, zz = (
+        float(_attribute(tensor, k)) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
     turn = rotation @ own_rotation
     about_com = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
     return mass, position + rotation @ own_position, about_com
@@ -111,7 +129,7 @@ def _merged(body: Body, parts: list[tuple[float, Array, Array]]) -> Body:
 
 @dataclass(frozen=True)
 class Load:
-    """Mass [kg], first moment [kg m] and inertia [kg m^2] of a body about its joint frame, numbers or symbols."""
+    """Mass [kg], first moment [kg m] and inertia [kg m^2] of a body about its joint frame."""
 
     mass: ca.SX
     moment: ca.SX
@@ -147,8 +165,10 @@ def _rotations(bodies: list[Body], q: ca.SX) -> list[ca.SX]:
     return turned
 
 
-def inverse_dynamics(bodies: list[Body], loads: list[Load], gravity: ca.SX, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
-    """M(q) a + c(q, v) + g(q) (n,) [N m] by the Newton-Euler recursion; gravity enters as an accelerated base."""
+def inverse_dynamics(
+    bodies: list[Body], loads: list[Load], gravity: ca.SX, q: ca.SX, v: ca.SX, a: ca.SX
+) -> ca.SX:
+    """M(q) a + c(q, v) + g(q) (n,) [N m], Newton-Euler; gravity enters as an accelerated base."""
     turns = _rotations(bodies, q)
     omega, alpha, linear, force, moment = [], [], [], [], []
     for i, body in enumerate(bodies):
@@ -192,7 +212,10 @@ def mass_matrix(bodies: list[Body], loads: list[Load], q: ca.SX) -> ca.SX:
     matrix = ca.SX(n, n)
     for i in range(n):
         axis = ca.SX(bodies[i].axis)
-        force, moment = ca.cross(axis, carried[i].moment), carried[i].inertia @ axis  # of a unit joint acceleration
+        force, moment = (
+            ca.cross(axis, carried[i].moment),
+            carried[i].inertia @ axis,
+        )  # of a unit joint acceleration
         matrix[i, i] = ca.dot(axis, moment)
         j = i
         while (parent := bodies[j].parent) >= 0:

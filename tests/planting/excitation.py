@@ -21,12 +21,16 @@ BAND = {"rich": (0.25, 2.4), "slow": (0.04, 0.3)}  # Hz
 
 
 def reference(
-    kind: str, joints: int, seconds: float, demand: Callable[[Array, Array, Array], Array], rng: np.random.Generator
+    kind: str,
+    joints: int,
+    seconds: float,
+    demand: Callable[[Array, Array, Array], Array],
+    rng: np.random.Generator,
 ) -> Reference:
     """A reference of a kind in `KINDS`.
 
-    `demand` gives the share of the torque limit (m, n) that positions, velocities and accelerations (m, n) ask for;
-    amplitudes are reduced until it stays below TORQUE_SHARE. Raises ValueError on an unknown kind.
+    `demand` gives the share of the torque limit (m, n) that positions, velocities and accelerations (m, n)
+    ask for; amplitudes are reduced until it stays below TORQUE_SHARE. Raises ValueError on an unknown kind.
     """
     if kind not in KINDS:
         raise ValueError(f"unknown excitation {kind!r}; there are {', '.join(KINDS)}")

@@ -2,15 +2,16 @@
 
 phi = theta - q, w = dtheta. Everything acts in this order where several effects share a site:
 
-- command: tau_m is delayed, scaled by (1 + gain), shifted by the offset, clipped; cogging is added last (it is a force
-  of the motor, not of its drive). All but cogging act on held numbers and live in simulate.py.
-- motor: B theta'' = tau - tau_t - (D_m + coefficient) w - s level, where s in {-1, 0, 1} is the state of the dry
-  friction (0: stuck, w = 0) and `level` the sum of all dry laws. Dry friction sticks exactly: a stuck motor leaves
-  when the net torque exceeds the level at rest, a slipping one is caught at the instant w = 0 (Karnopp's model with
-  located events), so no creep and no smoothing width. A stuck link has its acceleration removed from
-  M q'' = tau_link by striking its row and column.
-- transmission: e = phi + transmission error, less half the gap on the engaged side (dead zone, located events as well);
-  tau_t = K e + cubic e^3 + D phi' (0 inside the gap) + z + preload, with Dahl's z as a state.
+- command: tau_m is delayed, scaled by (1 + gain), shifted by the offset, clipped; cogging is added last (it
+  is a force of the motor, not of its drive). All but cogging act on held numbers and live in simulate.py.
+- motor: B theta'' = tau - tau_t - (D_m + coefficient) w - s level, where s in {-1, 0, 1} is the state of
+  the dry friction (0: stuck, w = 0) and `level` the sum of all dry laws. Dry friction sticks exactly: a
+  stuck motor leaves when the net torque exceeds the level at rest, a slipping one is caught at the instant
+  w = 0 (Karnopp's model with located events), so no creep and no smoothing width. A stuck link has its
+  acceleration removed from M q'' = tau_link by striking its row and column.
+- transmission: e = phi + transmission error, less half the gap on the engaged side (dead zone, located
+  events as well); tau_t = K e + cubic e^3 + D phi' (0 inside the gap) + z + preload, with Dahl's z as a
+  state.
 - link: payload joins the body's mass, tilt turns gravity, the others are torques on q.
 - sensor: sensing.py.
 """
@@ -93,7 +94,9 @@ class Planted:
         law = CATALOGUE[self.effect]
         given, valid = set(self.parameters), {*law.required, *law.defaults}
         if not set(law.required) <= given or not given <= valid:
-            raise ValueError(f"{self.effect} takes {sorted(valid)} (needs {law.required}), got {sorted(given)}")
+            raise ValueError(
+                f"{self.effect} takes {sorted(valid)} (needs {law.required}), got {sorted(given)}"
+            )
         if self.joint is None and not law.common:
             raise ValueError(f"{self.effect} belongs to a joint; name it")
 
@@ -126,9 +129,10 @@ class Switch:
 class Equations:
     """The right-hand side, as symbols, for one real robot with its planted effects.
 
-    State x (5 n,): q, dq, theta, dtheta, z. `modes` (number of switches,) and `gates` (number of effects, 1 when
-    active) are constant over a step. Attributes after construction: `rate` x', `torque` tau_t (n,), `margin`
-    (switches,) that is negative when a mode no longer holds, `drive` (switches,) whose sign is the next mode.
+    State x (5 n,): q, dq, theta, dtheta, z. `modes` (number of switches,) and `gates` (number of effects, 1
+    when active) are constant over a step. Attributes after construction: `rate` x', `torque` tau_t (n,),
+    `margin` (switches,) that is negative when a mode no longer holds, `drive` (switches,) whose sign is the
+    next mode.
     """
 
     def __init__(self, robot: Robot, effects: list[Planted]) -> None:
@@ -138,7 +142,11 @@ class Equations:
         self.switches = tuple(
             Switch(kind, j)
             for j in range(n)
-            for kind, names in (("motor", DRY_MOTOR), ("link", ("link_coulomb_friction",)), ("gap", ("backlash",)))
+            for kind, names in (
+                ("motor", DRY_MOTOR),
+                ("link", ("link_coulomb_friction",)),
+                ("gap", ("backlash",)),
+            )
             if any(p.effect in names and p.joint == robot.joints[j] for p in effects)
         )
         self.x = ca.SX.sym("x", 5 * n)
@@ -171,7 +179,9 @@ class Equations:
         deflection = phi
         if found := self._on("transmission_error", j):
             p, gate = found
-            deflection += gate * p.value("amplitude") * ca.sin(p.value("cycles") * self.theta[j] + p.value("phase"))
+            deflection += (
+                gate * p.value("amplitude") * ca.sin(p.value("cycles") * self.theta[j] + p.value("phase"))
+            )
         side, engaged, half_gap = ca.SX(0), ca.SX(1), ca.SX(0)
         if (mode := self._mode("gap", j)) is not None:
             side, engaged, half_gap = mode, mode * mode, self._size("backlash", j, "gap") / 2
@@ -182,7 +192,9 @@ class Equations:
         dz = ca.SX(0)
         if found := self._on("spring_hysteresis", j):
             p, gate = found
-            dz = gate * (p.value("level") / p.value("scale") * dphi - ca.fabs(dphi) * self.z[j] / p.value("scale"))
+            dz = gate * (
+                p.value("level") / p.value("scale") * dphi - ca.fabs(dphi) * self.z[j] / p.value("scale")
+            )
         return torque + self.z[j] + self._size("spring_preload", j, "torque"), dz, deflection
 
     def _dry_levels(self, j: int, torque: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -228,64 +240,71 @@ class Equations:
         return torque
 
     def _write(self) -> None:
-        robot, n = self.robot, len(self.robot.joints)
-        levels: dict[Switch, tuple[ca.SX, ca.SX]] = {}
-        net: dict[Switch, ca.SX] = {}
-        deflection: dict[Switch, ca.SX] = {}
-        tau_t, dz, ddtheta = ca.SX(n, 1), ca.SX(n, 1), ca.SX(n, 1)
-        for j in range(n):
-            tau_t[j], dz[j], seen = self._spring(j)
-            deflection[Switch("gap", j)] = seen
-            drive = self.u[j]
-            if found := self._on("cogging", j):
-                p, gate = found
-                drive += gate * p.value("amplitude") * ca.sin(p.value("cycles") * self.theta[j] + p.value("phase"))
-            viscous = robot.motor_damping[j] + self._size("motor_viscous_friction", j, "coefficient")
-            total = drive - tau_t[j] - viscous * self.dtheta[j]
-            inertia = robot.motor_inertia[j] * (1 + self._size("motor_inertia", j, "scale"))
-            mode = self._mode("motor", j)
-            if mode is None:
-                ddtheta[j] = total / inertia
-            else:
-                switch = Switch("motor", j)
-                levels[switch], net[switch] = self._dry_levels(j, tau_t[j]), total
-                ddtheta[j] = mode * mode * (total - _friction(mode, levels[switch])) / inertia
+        """Assemble the right-hand side and what decides over the modes."""
+        self._levels: dict[Switch, tuple[ca.SX, ca.SX]] = {}  # dry friction forward, backward
+        self._net: dict[Switch, ca.SX] = {}  # torque that a stuck motor or link has to withstand
+        n = len(self.robot.joints)
+        springs = [self._spring(j) for j in range(n)]
+        tau_t, dz = ([spring[i] for spring in springs] for i in (0, 1))
+        ddtheta = [self._motor_acceleration(j, tau_t[j]) for j in range(n)]
+        ddq = self._link_accelerations(tau_t)
+        self.rate = ca.densify(ca.vertcat(self.dq, ddq, self.dtheta, *ddtheta, *dz))
+        self.torque = ca.densify(ca.vertcat(*tau_t))
+        margins, drives = [], []
+        for k, switch in enumerate(self.switches):
+            margin, drive = self._decision(switch, self.modes[k], springs[switch.joint][2])
+            margins.append(margin)
+            drives.append(drive)
+        self.margin = ca.densify(ca.vertcat(ca.SX(0, 1), *margins))
+        self.drive = ca.densify(ca.vertcat(ca.SX(0, 1), *drives))
 
+    def _motor_acceleration(self, j: int, tau_t: ca.SX) -> ca.SX:
+        drive = self.u[j]
+        if found := self._on("cogging", j):
+            p, gate = found
+            angle = p.value("cycles") * self.theta[j] + p.value("phase")
+            drive += gate * p.value("amplitude") * ca.sin(angle)
+        viscous = self.robot.motor_damping[j] + self._size("motor_viscous_friction", j, "coefficient")
+        total = drive - tau_t - viscous * self.dtheta[j]
+        inertia = self.robot.motor_inertia[j] * (1 + self._size("motor_inertia", j, "scale"))
+        if (mode := self._mode("motor", j)) is None:
+            return total / inertia
+        switch = Switch("motor", j)
+        self._levels[switch], self._net[switch] = self._dry_levels(j, tau_t), total
+        return mode * mode * (total - _friction(mode, self._levels[switch])) / inertia
+
+    def _link_accelerations(self, tau_t: list[ca.SX]) -> ca.SX:
+        n, bodies = len(tau_t), list(self.robot.bodies)
         loads, gravity = self._loads_and_gravity()
-        bias = inverse_dynamics(list(robot.bodies), loads, gravity, self.q, self.dq, ca.SX(n, 1))
-        matrix = mass_matrix(list(robot.bodies), loads, self.q)
+        bias = inverse_dynamics(bodies, loads, gravity, self.q, self.dq, ca.SX(n, 1))
+        matrix = mass_matrix(bodies, loads, self.q)
         push, free = ca.SX(n, 1), ca.SX.ones(n)
         for j in range(n):
             push[j] = tau_t[j] - bias[j] + self._link_torque(j)
             if (mode := self._mode("link", j)) is not None:
                 level = self._size("link_coulomb_friction", j, "level")
-                levels[Switch("link", j)] = (level, level)
+                self._levels[Switch("link", j)] = (level, level)
                 push[j] -= mode * level
                 free[j] = mode * mode
         struck = ca.diag(free) @ matrix @ ca.diag(free) + ca.diag(1 - free)
-        ddq = _solve_positive(struck, free * push)
+        diagonal, upper, permutation = ca.ldl(struck)
+        ddq = ca.ldl_solve(free * push, diagonal, upper, permutation)
         for switch in self.switches:
-            if switch.kind == "link":  # what a stuck link's friction has to hold
-                net[switch] = push[switch.joint] - matrix[switch.joint, :] @ ddq
+            if switch.kind == "link":
+                self._net[switch] = push[switch.joint] - matrix[switch.joint, :] @ ddq
+        return ddq
 
-        self.rate = ca.densify(ca.vertcat(self.dq, ddq, self.dtheta, ddtheta, dz))
-        self.torque = ca.densify(tau_t)
-        margins, drives = [], []
-        for k, switch in enumerate(self.switches):
-            mode, j = self.modes[k], switch.joint
-            if switch.kind == "gap":
-                half_gap = self._size("backlash", j, "gap") / 2
-                inside, outside = half_gap - ca.fabs(deflection[switch]), mode * deflection[switch] - half_gap
-                drives.append(deflection[switch])
-            else:
-                forward, backward = levels[switch]
-                speed = self.dtheta[j] if switch.kind == "motor" else self.dq[j]
-                inside = ca.fmin(forward - net[switch], backward + net[switch])
-                outside = mode * speed
-                drives.append(net[switch])
-            margins.append(ca.if_else(mode == 0, inside, outside))
-        self.margin = ca.densify(ca.vertcat(*margins)) if margins else ca.SX(0, 1)
-        self.drive = ca.densify(ca.vertcat(*drives)) if drives else ca.SX(0, 1)
+    def _decision(self, switch: Switch, mode: ca.SX, deflection: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Margin and drive of a switch."""
+        j = switch.joint
+        if switch.kind == "gap":
+            half_gap = self._size("backlash", j, "gap") / 2
+            inside, outside, drive = half_gap - ca.fabs(deflection), mode * deflection - half_gap, deflection
+        else:
+            (forward, backward), drive = self._levels[switch], self._net[switch]
+            inside = ca.fmin(forward - drive, backward + drive)
+            outside = mode * (self.dtheta[j] if switch.kind == "motor" else self.dq[j])
+        return ca.if_else(mode == 0, inside, outside), drive
 
 
 def _friction(mode: ca.SX, levels: tuple[ca.SX, ca.SX]) -> ca.SX:
@@ -300,8 +319,3 @@ def _tilted(roll: float, pitch: float, gravity: Array) -> Array:
     rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     return (rx @ ry).T @ gravity
-
-
-def _solve_positive(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    diagonal, upper, permutation = ca.ldl(matrix)
-    return ca.ldl_solve(right, diagonal, upper, permutation)

@@ -1,7 +1,7 @@
 """Time stepping of the real machine: classical Runge-Kutta of order 4 between located events.
 
-Within a step the modes of dry friction and gaps are fixed, so that the right-hand side is smooth; a step at whose end
-a mode no longer holds is cut at that instant, found by bisection.
+Within a step the modes of dry friction and gaps are fixed, so that the right-hand side is smooth; a step at
+whose end a mode no longer holds is cut at that instant, found by bisection.
 """
 
 from __future__ import annotations
@@ -100,7 +100,11 @@ class Machine:
             low, high = 0.0, left
             while high - low > EVENT_WIDTH:
                 middle = (low + high) / 2
-                low, high = (low, middle) if self._one(self.x, u, self.modes, gates, t, middle)[1].min() < 0 else (middle, high)
+                low, high = (
+                    (low, middle)
+                    if self._one(self.x, u, self.modes, gates, t, middle)[1].min() < 0
+                    else (middle, high)
+                )
             state, margin = self._one(self.x, u, self.modes, gates, t, high)
             worst = int(np.argmin(margin[0]))
             self.x = state[0].copy()

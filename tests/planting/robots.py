@@ -17,7 +17,7 @@ DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
 
 @dataclass(frozen=True)
 class Robot:
-    """Numbers of one machine, link-referred SI; every joint array has shape (n,), in the order of `joints`."""
+    """Numbers of one machine, link-referred SI; joint arrays have shape (n,), in the order of `joints`."""
 
     name: str
     joints: tuple[str, ...]
@@ -46,10 +46,17 @@ def read_robot(path: Path) -> Robot:
     bodies = read_bodies(path.parent / data["urdf"], tuple(data.get("lock", ())))
     names = tuple(body.joint for body in bodies)
     if set(names) != set(data["joints"]):
-        raise ValueError(f"{path.name}: its moving joints are {names}, its YAML lists {tuple(data['joints'])}")
+        raise ValueError(
+            f"{path.name}: its moving joints are {names}, its YAML lists {tuple(data['joints'])}"
+        )
 
     def numbers(key: str, default: float | None = None) -> Array:
-        return np.array([float(data["joints"][n][key] if default is None else data["joints"][n].get(key, default)) for n in names])
+        return np.array(
+            [
+                float(data["joints"][n][key] if default is None else data["joints"][n].get(key, default))
+                for n in names
+            ]
+        )
 
     return Robot(
         name=data["name"],
@@ -71,8 +78,8 @@ def deviating(robot: Robot, inexact: float, rng: np.random.Generator) -> Robot:
     """The real machine behind a nominal one.
 
     Each mass, centre-of-mass coordinate, inertia tensor, K and B is off by a relative error uniform in
-    +-[inexact / 2, 1.5 inexact]; D and D_m by three times that. A tensor is scaled as a whole: independent errors
-    of its entries could make it impossible for any body.
+    +-[inexact / 2, 1.5 inexact]; D and D_m by three times that. A tensor is scaled as a whole: independent
+    errors of its entries could make it impossible for any body.
     """
 
     def factor(shape: int | tuple[int, ...], weight: float = 1.0) -> Array:
@@ -83,7 +90,9 @@ def deviating(robot: Robot, inexact: float, rng: np.random.Generator) -> Robot:
     bodies = []
     for body in robot.bodies:
         mass, tensor = factor(2)
-        bodies.append(replace(body, mass=body.mass * mass, com=body.com * factor(3), inertia=body.inertia * tensor))
+        bodies.append(
+            replace(body, mass=body.mass * mass, com=body.com * factor(3), inertia=body.inertia * tensor)
+        )
     return replace(
         robot,
         bodies=tuple(bodies),

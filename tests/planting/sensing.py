@@ -60,20 +60,24 @@ PERFECT = SensorSet(noise=dict.fromkeys(MEASURED, 0.0), resolution=0.0)
 def robot_noise(name: str) -> dict[str, float]:
     """Standard deviations per channel of a robot's sensors, drawn once from its name."""
     rng = np.random.default_rng(crc32(name.encode()))
-    position, velocity, torque = rng.uniform(1e-5, 3e-5, 2), rng.uniform(4e-3, 6e-3, 2), rng.uniform(0.04, 0.06)
+    position, velocity, torque = (
+        rng.uniform(1e-5, 3e-5, 2),
+        rng.uniform(4e-3, 6e-3, 2),
+        rng.uniform(0.04, 0.06),
+    )
     return {"q": position[0], "theta": position[1], "dq": velocity[0], "dtheta": velocity[1], "tau_t": torque}
 
 
 @dataclass(frozen=True)
 class Motion:
-    """True motion on a uniform grid that begins at `start` [s]; arrays (samples, n), filled as the simulation goes."""
+    """True motion on a uniform grid from `start` [s]; arrays (samples, n), filled as the simulation goes."""
 
     start: float
     step: float  # [s]
     values: dict[str, Array] = field(repr=False)
 
     def at(self, channel: str, times: Array) -> Array:
-        """Values (m, n) at `times` (m, n): cubic Hermite for positions, linear for the rest; the first before it."""
+        """Values (m, n) at `times` (m, n): cubic Hermite for positions, else linear; held before `start`."""
         grid = self.values[channel]
         place = np.maximum((times - self.start) / self.step, 0.0)
         low = np.minimum(np.floor(place + 1e-6).astype(int), len(grid) - 2)
@@ -86,7 +90,9 @@ class Motion:
             between = a + s * (da + s * (3 * (b - a) - 2 * da - db + s * (2 * (a - b) + da + db)))
         else:
             between = a + s * (b - a)
-        return np.where(s < 1e-5, a, between)  # on the grid, take the grid (what lies ahead may not be filled yet)
+        return np.where(
+            s < 1e-5, a, between
+        )  # on the grid, take the grid (what lies ahead may not be filled yet)
 
 
 class Sensors:
@@ -99,7 +105,9 @@ class Sensors:
         order = ("sensor_delay", *_SENSOR_LAWS)
         self.effects = sorted((p for p in effects if p.effect in order), key=lambda p: order.index(p.effect))
         level = robot_noise(robot.name) if sensors.noise is None else sensors.noise
-        self.noise = {c: level.get(c, 0.0) * rng.standard_normal((ticks, len(robot.joints))) for c in MEASURED}
+        self.noise = {
+            c: level.get(c, 0.0) * rng.standard_normal((ticks, len(robot.joints))) for c in MEASURED
+        }
 
     def clean(self, channel: str, motion: Motion, times: Array) -> Array:
         """Readings (m, n) at times (m,) with the sensors' effects, without noise and rounding."""

@@ -1,7 +1,8 @@
 """Recordings of a real machine under its controller, in the table of the file format.
 
-plant() puts effects into a machine, drives it along an excitation and returns what its sensors and its controller
-would have written down. See laws.py for the laws, machine.py for the time stepping, sensing.py for the sensors.
+plant() puts effects into a machine, drives it along an excitation and returns what its sensors and its
+controller would have written down. See laws.py for the laws, machine.py for the time stepping, sensing.py for
+the sensors.
 """
 
 from __future__ import annotations
@@ -34,13 +35,17 @@ class Recorded:
     columns: dict[str, Array]  # "time" first; NaN is a missing cell
     truth: tuple[Planted, ...]
     real: Robot  # the machine as it was, deviations included
-    true: dict[str, Array] = field(repr=False)  # q, dq, theta, dtheta, tau_t, tau (applied) (rows, n), no sensor
+    true: dict[str, Array] = field(
+        repr=False
+    )  # q, dq, theta, dtheta, tau_t, tau (applied) (rows, n), no sensor
 
     def table(self) -> pa.Table:
         """The Arrow table: time as float64, channels as float32, missing cells as null."""
         return pa.table(
             {
-                name: pa.array(values, type=pa.float64() if name == "time" else pa.float32(), from_pandas=True)
+                name: pa.array(
+                    values, type=pa.float64() if name == "time" else pa.float32(), from_pandas=True
+                )
                 for name, values in self.columns.items()
             }
         )
@@ -68,13 +73,16 @@ def plant(
 ) -> Recorded:
     """Record `seconds` at `rate` [Hz] of the robot with its planted effects.
 
-    `seed` draws the trajectory and the noise, `plant_seed` (default: seed) the deviations of the real machine, so
-    that two recordings can share a machine. Raises ValueError on unknown names and on a rate above the control rate.
+    `seed` draws the trajectory and the noise, `plant_seed` (default: seed) the deviations of the real
+    machine, so that two recordings can share a machine. Raises ValueError on unknown names and on a rate
+    above the control rate.
     """
     nominal = read_robot(robot_yaml)
     check(nominal, effects)
     if not 0 < rate <= nominal.control_rate:
-        raise ValueError(f"rate must be above 0 and at most the control rate {nominal.control_rate}, got {rate}")
+        raise ValueError(
+            f"rate must be above 0 and at most the control rate {nominal.control_rate}, got {rate}"
+        )
     motion_seed, noise_seed, time_seed = np.random.SeedSequence(seed).spawn(3)
     machine_rng = np.random.default_rng([seed if plant_seed is None else plant_seed, 1])
     real = deviating(nominal, inexact, machine_rng) if inexact > 0 else nominal
@@ -97,7 +105,9 @@ class _Told:
 
         follow = reference(excitation, n, seconds, demand, rng)
         before = round(SETTLING * nominal.control_rate)
-        self.times = (np.arange(before + round(seconds * nominal.control_rate)) - before) / nominal.control_rate
+        self.times = (
+            np.arange(before + round(seconds * nominal.control_rate)) - before
+        ) / nominal.control_rate
         self.first = before
         q_ref = follow(np.maximum(self.times, 0.0))
         rest = np.zeros_like(q_ref)
@@ -106,7 +116,7 @@ class _Told:
 
 
 def nominal_dynamics(robot: Robot) -> Callable[[Array, Array, Array], Array]:
-    """Inverse dynamics of the links, from positions, velocities and accelerations (m, n) to torques (m, n)."""
+    """Inverse dynamics of the links: positions, velocities, accelerations (m, n) to torques (m, n)."""
     q, v, a = (ca.SX.sym(name, len(robot.joints)) for name in "qva")
     bodies = list(robot.bodies)
     loads = [body_load(body) for body in bodies]
@@ -170,7 +180,9 @@ def _fill(values: dict[str, Array], rows: slice, states: Array, tau_t: Array, n:
 class _Drive:
     """From commands to motor torques: gain, offset, saturation, delay of the held command."""
 
-    def __init__(self, robot: Robot, effects: list[Planted], initial: Array, ticks: int, substeps: int) -> None:
+    def __init__(
+        self, robot: Robot, effects: list[Planted], initial: Array, ticks: int, substeps: int
+    ) -> None:
         self.robot, self.initial, self.substeps = robot, initial, substeps
         self.effects = [p for p in effects if p.effect.startswith("torque_") and "sensor" not in p.effect]
         self.delays = [p for p in self.effects if p.effect == "torque_delay"]
