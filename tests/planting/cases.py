@@ -178,6 +178,10 @@ def usual_effect(
     values: dict[str, object] = {name: _rounded(value) for name, value in parameters[effect].items()}
     if effect == "encoder_eccentricity":
         values["channel"] = str(rng.choice(["q", "theta"]))
+    if effect == "sensor_delay" and (
+        channel := rng.choice(["", "q", "theta"])
+    ):  # none: all sensors of the joint
+        values["channel"] = str(channel)
     if effect == "base_tilt":  # only a tilt about horizontal directions across the joint axes can be seen
         hidden = {"lever": "roll", "crane": "pitch"}.get(robot.removesuffix("_exact"))
         values = {name: 0.0 if name == hidden else value for name, value in values.items()}

@@ -8,7 +8,7 @@ import pytest
 
 from .by_hand import JOINT, LEVER, lever_gravity, lever_inertia
 from .cases import usual_effect
-from .laws import CATALOGUE, Equations, Planted
+from .laws import CATALOGUE, Equations, Planted, _tilted
 from .robots import read_robot
 
 
@@ -152,6 +152,12 @@ def test_base_tilt_turns_gravity():
     assert link == pytest.approx(lever_gravity(0.3) - lever_gravity(0.3 + pitch))
     rolled, *_ = lever(Planted("base_tilt", None, {"roll": 0.3, "pitch": 0.0}), dq=0.0)
     assert rolled == pytest.approx(lever_gravity(0.3) - lever_gravity(0.3, roll=0.3))
+
+
+def test_roll_comes_before_pitch():
+    turned = _tilted(0.3, 0.2, np.array([0.0, 0.0, -9.81]))
+    by_hand = 9.81 * np.array([np.cos(0.3) * np.sin(0.2), -np.sin(0.3), -np.cos(0.3) * np.cos(0.2)])
+    np.testing.assert_allclose(turned, by_hand, atol=1e-12)
 
 
 def test_a_closed_gate_removes_every_law():

@@ -133,6 +133,22 @@ def test_static_friction_holds_more_than_sliding_friction():
     assert jumped > 3 * crept > 0
 
 
+@pytest.mark.parametrize(("torque", "moves"), [(1.9, False), (2.1, True), (-3.9, False), (-4.1, True)])
+def test_each_direction_has_its_own_level(torque, moves):
+    robot, held = read_robot(LEVER), lever_gravity(0.2)
+    planted = Planted("asymmetric_friction", JOINT, {"level_positive": 2.0, "level_negative": 4.0})
+    states = run(robot, [planted], [0.2, 0, 0.2 + held / robot.stiffness[0], 0], [held + torque], 0.3)
+    assert (np.abs(states[:, 3]).max() > 0) == moves
+
+
+def test_a_caught_motor_rests_exactly():
+    robot, held = read_robot(LEVER), lever_gravity(0.2)
+    planted = Planted("motor_coulomb_friction", JOINT, {"level": 30.0})
+    states = run(robot, [planted], [0.2, 0, 0.2 + held / robot.stiffness[0], 1.0], [held], 0.5)
+    assert states[100, 2] > states[0, 2] + 1e-3
+    assert np.ptp(states[1000:, 2]) == 0.0
+
+
 def test_a_stuck_link_holds_while_its_neighbours_move():
     robot = read_robot(GIMBAL)
     planted = Planted("link_coulomb_friction", "tilt", {"level": 40.0})
