@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.effect import Effect, Param, Planned, Signals, Site, catalogue
+from flexjoint.effect import Effect, Param, Planned, Site, catalogue
 
 TRIAL_SHARE = 0.05  # of the joint's torque: size at which a trace is taken
 
@@ -42,17 +43,18 @@ class Trace:
     columns: np.ndarray
     kind: str  # amplitudes | whole | phase | inertial
     trial: Mapping[str, float]
+    origin: Mapping[str, float]  # values at amplitude 0: null, or what the nominal model lists
 
     def values(self, amplitude: np.ndarray) -> dict[str, Any]:
         """Parameter values for fitted amplitudes of the columns, clipped into the bounds."""
         effect = self.candidate.effect
         out: dict[str, Any] = dict(self.start)
         if self.kind == "whole":
-            for param in effect.nulls:
-                null = 0.0 if param.null is None or not np.isfinite(param.null) else param.null
-                if np.isfinite(param.null or 0.0):
-                    scale = float(np.clip(amplitude[0], 0.1, 10.0))
-                    out[param.name] = null + scale * (self.trial[param.name] - null)
+            scale = float(np.clip(amplitude[0], 0.1, 10.0))
+            for name, size in self.trial.items():
+                origin = self.origin[name]
+                # a limit is absent at its far end: its start is kept, not scaled
+                out[name] = size if abs(origin) > abs(size) else origin + scale * (size - origin)
         elif self.kind == "phase":
             size, angle = np.hypot(*amplitude), np.arctan2(amplitude[1], amplitude[0])
             for param in effect.params:
@@ -60,14 +62,9 @@ class Trace:
                     out[param.name] = float(angle)
                 elif param.name in self.trial:
                     out[param.name] = float(size) * self.trial[param.name]
-        elif self.kind == "inertial":
-            mass, moment = float(amplitude[0]), amplitude[1:4]
-            out[effect.params[0].name] = mass
-            position = moment / mass if abs(mass) > 1e-9 else np.zeros(3)
-            out[effect.params[1].name] = tuple(float(x) for x in np.clip(position, -3.0, 3.0))
         else:
             for name, size in zip(self.trial, amplitude, strict=True):
-                out[name] = float(size) * self.trial[name]
+                out[name] = self.origin[name] + float(size) * self.trial[name]
         return {p.name: _clip(p, out[p.name]) for p in effect.params if p.name in out}
 
 
@@ -124,70 +121,52 @@ def visible(workspace: Workspace, candidate: Candidate) -> bool:
     return any(readings[c] for c in concerned)
 
 
-def signals_of(workspace: Workspace, joint: str | None) -> Signals:
-    """What `Effect.starts` sees: measured signals of the joint on usable samples."""
-    balances, used = workspace.balances, workspace.readings.valid
-    t = balances.t[used]
-    if joint is None:
-        return Signals(t=t)
-    i = workspace.robot.joint_names.index(joint)
-    q, theta = balances.q[i], balances.theta[i]
-    torque = workspace.readings.torque[i]
-    smooth = balances.filter.smooth
-    return Signals(
-        t=t,
-        q=q[used],
-        dq=smooth(q, 1)[used],
-        theta=theta[used],
-        dtheta=smooth(theta, 1)[used],
-        phi=(theta - q)[used],
-        dphi=smooth(theta - q, 1)[used],
-        tau_t=balances.rigid.tau[i][used],
-        tau_m=np.where(np.isfinite(torque), torque, 0.0)[used],
-    )
-
-
-def traces(workspace: Workspace, candidate: Candidate, base: Sequence[Planned]) -> list[Trace]:
-    """First-order traces of a candidate on top of `base`, one per start."""
+def traces(workspace: Workspace, candidate: Candidate, base: Sequence[Planned], y: np.ndarray) -> list[Trace]:
+    """First-order traces of a candidate on top of `base`, whose whitened residual is y, one per start."""
     effect = candidate.effect
     if effect.site is Site.BODY and effect.overrides("edit_inertial"):
-        return [_inertial_trace(workspace, candidate)]
+        return inertial_traces(workspace, candidate, y)
+    listed = next((e for e in base if e.key == candidate.key), None)
     phase = [p.name for p in effect.params if p.wraps]
+    starts: Sequence[Mapping[str, Any]] = effect.starts(workspace.signals(candidate.joint))
+    if listed is not None:
+        starts = [{p.name: listed.values[p.name] for p in effect.params if p.null is None}]
     out = []
     seen: set[tuple[tuple[str, Any], ...]] = set()
-    for start in effect.starts(signals_of(workspace, candidate.joint)):
+    for start in starts:
         kept = {k: v for k, v in start.items() if k not in phase}
         key = tuple(sorted(kept.items()))
-        if key in seen:
-            continue
-        seen.add(key)
-        out.append(_trace(workspace, candidate, base, kept, phase))
+        if key not in seen:
+            seen.add(key)
+            out.append(_trace(workspace, candidate, base, kept, phase, listed))
     return out
 
 
 def _trace(
-    workspace: Workspace, candidate: Candidate, base: Sequence[Planned], start: dict[str, Any], phase: list[str]
+    workspace: Workspace,
+    candidate: Candidate,
+    base: Sequence[Planned],
+    start: dict[str, Any],
+    phase: list[str],
+    listed: Planned | None,
 ) -> Trace:
     effect = candidate.effect
     given = [p.name for p in effect.nulls if p.name in start]
     without = [e for e in base if e.key != candidate.key]
+    origin = {p.name: p.null if listed is None else listed.values[p.name] for p in effect.nulls}
 
     def column(values: Mapping[str, Any]) -> np.ndarray:
         return workspace.change(base, [*without, candidate.planned(values)])
 
     if given:
-        columns = column(start)[None]
-        return Trace(candidate, start, columns, "whole", {name: start[name] for name in given})
+        trial = {name: start[name] for name in given}
+        return Trace(candidate, start, column(start)[None], "whole", trial, origin)
     trial = {p.name: trial_size(workspace, candidate, p) for p in effect.nulls if p.name not in phase}
     if phase:
         columns = np.stack([column({**start, **trial, phase[0]: a}) for a in (0.0, 0.5 * np.pi)])
-        return Trace(candidate, start, columns, "phase", trial)
-    rows = []
-    for name in trial:
-        values = {p.name: p.null for p in effect.nulls}
-        values[name] = trial[name]
-        rows.append(column({**start, **values}))
-    return Trace(candidate, start, np.array(rows), "amplitudes", trial)
+        return Trace(candidate, start, columns, "phase", trial, origin)
+    rows = [column({**start, **origin, name: origin[name] + trial[name]}) for name in trial]
+    return Trace(candidate, start, np.array(rows), "amplitudes", trial, origin)
 
 
 def trial_size(workspace: Workspace, candidate: Candidate, param: Param) -> float:
@@ -196,7 +175,7 @@ def trial_size(workspace: Workspace, candidate: Candidate, param: Param) -> floa
     if candidate.joint is not None:
         i = workspace.robot.joint_names.index(candidate.joint)
         scale = float(workspace.torque_scale[i])
-        signals = signals_of(workspace, candidate.joint)
+        signals = workspace.signals(candidate.joint)
         travel, speed = float(np.std(signals.q)) + 1e-6, float(np.std(signals.dtheta)) + 1e-6
     else:
         travel = speed = 1.0
@@ -217,10 +196,39 @@ def trial_size(workspace: Workspace, candidate: Candidate, param: Param) -> floa
     return float(np.clip(by_unit.get(param.unit, param.value), param.low, param.high))
 
 
-def _inertial_trace(workspace: Workspace, candidate: Candidate) -> Trace:
-    """Mass and first moments through the joint-torque regressor, linear; second moments follow in the fit."""
+def inertial_traces(workspace: Workspace, candidate: Candidate, y: np.ndarray) -> list[Trace]:
+    """A change of a link's inertial parameters: the residual is linear in the ten of them, so that the
+    effect's own few parameters are found on a quadratic form, without touching the signals again."""
     assert candidate.joint is not None
+    effect = candidate.effect
     i = workspace.robot.joint_names.index(candidate.joint)
-    regressor = workspace.balances.rigid.regressor[:, :, 10 * i : 10 * i + 10]
-    columns = np.stack([workspace.load_column(regressor[:, :, k].T) for k in range(4)])
-    return Trace(candidate, {}, columns, "inertial", {})
+    moments = np.stack(
+        [workspace.load_column(workspace.balances.inertial_torque(i, unit)) for unit in np.eye(10)]
+    )
+    curvature = workspace.product(moments, moments)
+    slope = workspace.against(moments, y)
+    amplitude = effect.nulls[0]
+    shape = next(p for p in effect.params if p.size > 1)
+
+    def added(x: np.ndarray) -> np.ndarray:
+        p = candidate.planned({amplitude.name: x[0], shape.name: tuple(x[1:])}).p
+        return np.array(effect.edit_inertial([0.0] * 10, p), dtype=float)
+
+    def energy(x: np.ndarray) -> float:
+        pi = added(x)
+        weak = float(np.sum((x[1:] / 0.5) ** 2))
+        return float(2.0 * pi @ slope + pi @ curvature @ pi) + weak
+
+    own = float(workspace.motion.rigid.inertial[i, 0]) or 1.0
+    length = 0.5 * float(np.linalg.norm(workspace.motion.rigid.inertial[i, 1:4])) / own + 0.05
+    best: tuple[float, np.ndarray] | None = None
+    for axis in np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))]):
+        start = np.concatenate([[0.2 * own], 2.0 * length * axis])
+        found = minimize(energy, start, method="Nelder-Mead", options={"maxiter": 600, "fatol": 1e-3})
+        if best is None or found.fun < best[0]:
+            best = (float(found.fun), found.x)
+    assert best is not None
+    mass = float(np.clip(best[1][0], amplitude.low, amplitude.high))
+    values = {amplitude.name: mass, shape.name: tuple(float(v) for v in best[1][1:])}
+    column = added(np.concatenate([[mass], best[1][1:]])) @ moments
+    return [Trace(candidate, values, column[None], "whole", {amplitude.name: mass}, {amplitude.name: 0.0})]

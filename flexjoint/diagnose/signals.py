@@ -7,11 +7,12 @@ window). Noise is predicted from the readings themselves, not fitted to the resi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
 from scipy.interpolate import Akima1DInterpolator, CubicSpline
+from scipy.signal import welch
 
 from flexjoint.diagnose.command import torque_source
 from flexjoint.errors import RecordingError
@@ -21,6 +22,7 @@ from flexjoint.robot import Robot
 FILTER_SECONDS = 0.004  # standard deviation of the Gaussian window, at least ...
 FILTER_SAMPLES = 2.0  # ... this many samples, below which its sampled kernel aliases
 EDGE_SIGMAS = 8.0  # samples this close to an edge or gap are not used
+WELCH_SEGMENT = 1024  # samples, of the spectrum from which noise is told from motion
 LONGEST_BRIDGE = 4  # missing samples in a row that are interpolated and used
 
 
@@ -90,9 +92,7 @@ def prepare(robot: Robot, recording: Recording) -> Readings:
     )  # fmt: skip
 
 
-def _evenly(
-    time: np.ndarray, samples: np.ndarray, grid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _evenly(time: np.ndarray, samples: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The signal on the grid (cubic between samples) and where it was really measured."""
     present = np.isfinite(samples)
     t, x = time[present], samples[present]
@@ -162,11 +162,37 @@ def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
     return ~spread[reach:-reach]
 
 
+def denoised(readings: Readings) -> Readings:
+    """The readings with their positions passed through a Wiener filter: each frequency is kept to the share
+    of its power that is not the predicted white noise."""
+    window = make_filter(readings.time.size, readings.period, readings.sigma)
+    clean = {}
+    for name in ("q", "theta"):
+        signals = getattr(readings, name).copy()
+        for i, x in enumerate(signals):
+            if np.isfinite(x[0]):
+                signals[i] = window.shaped(x, _wiener(x, readings.noise[name][i], readings.period, window))
+        clean[name] = signals
+    return replace(readings, **clean)
+
+
+def _wiener(x: np.ndarray, noise: float, period: float, window: Filter) -> np.ndarray:
+    segment = min(x.size, WELCH_SEGMENT)
+    frequency, power = welch(x, 1.0 / period, nperseg=segment, detrend="linear")
+    floor = 2.0 * noise**2 * period  # one-sided density of white noise
+    share = np.clip(1.0 - floor / np.maximum(power, 1e-300), 0.0, 1.0)
+    # what lies under the noise by less than chance could be noise alone: a factor of two to be sure
+    share = np.where(power > 2.0 * floor, share, 0.0)
+    share[frequency < 2.0 / (segment * period)] = 1.0
+    return np.interp(window.omega, 2.0 * np.pi * frequency, share)
+
+
 @dataclass(frozen=True)
 class Filter:
     """The Gaussian window and its derivatives, in the frequency domain, for signals of N samples."""
 
     count: int
+    period: float  # [s]
     size: int  # padded length
     omega: np.ndarray  # (F,) rad/s
     gain: np.ndarray  # (F,)
@@ -189,8 +215,12 @@ class Filter:
         shaped = self.spectrum(x) * self.gain**share * (1j * self.omega) ** order
         return fft.irfft(shaped, self.size, axis=-1)[..., : self.count]
 
+    def shaped(self, x: np.ndarray, gain: np.ndarray) -> np.ndarray:
+        """(..., N) -> (..., N): filtered with any zero-phase gain (F,)."""
+        return fft.irfft(self.spectrum(x) * gain, self.size, axis=-1)[..., : self.count]
+
 
 def make_filter(count: int, period: float, sigma: float) -> Filter:
     size = fft.next_fast_len(count + int(20 * sigma / period), real=True)
     omega = 2.0 * np.pi * fft.rfftfreq(size, period)
-    return Filter(count, size, omega, np.exp(-0.5 * np.minimum((omega * sigma) ** 2, 600.0)))
+    return Filter(count, period, size, omega, np.exp(-0.5 * np.minimum((omega * sigma) ** 2, 600.0)))

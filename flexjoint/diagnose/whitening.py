@@ -8,16 +8,21 @@ The whitened residual of a healthy robot then has energy 1 per degree of freedom
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
 
+from flexjoint.body import inertial_of
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
+from flexjoint.diagnose.motion import along
+from flexjoint.effect import Drive, Planned, Signals, Site
+from flexjoint.robot import Joint
 
 CUT_GAIN = 0.25  # the band ends where the Gaussian filter passes this share
 UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
-FLOOR = 3e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
+FLOOR = 6e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
 
 
 @dataclass(frozen=True)
@@ -44,13 +49,14 @@ class Whitening:
         return fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale
 
 
-def make(balances: Balances, torque_scale: np.ndarray) -> Whitening:
-    """The whitening of these balances; `torque_scale` (m,) is each balance's torque RMS [N m]."""
+def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned]) -> Whitening:
+    """The whitening of these balances under a model with these effects; `torque_scale` (m,) is each
+    balance's torque RMS [N m]. Effects matter: a payload's inertia turns more encoder noise into torque."""
     window = balances.filter
     band = int(np.searchsorted(-window.gain, -CUT_GAIN))
     length = 2 * (band - 1)
     omega, gain = window.omega[:band], window.gain[:band]
-    transfer, variances, extra = _transfer(balances, omega)
+    transfer, variances, extra = _transfer(balances, omega, effects)
     spectrum = np.einsum("fak,k,fbk->fab", transfer, variances, transfer.conj()) + extra
     spectrum = spectrum * (gain**2)[:, None, None]
     rows = range(len(balances.rows))
@@ -64,38 +70,49 @@ def make(balances: Balances, torque_scale: np.ndarray) -> Whitening:
     # rfft of N samples of unit white noise has variance N per bin; irfft to `length` divides by length;
     # energy lost in the taper is given back so that the mean energy is 1
     scale = float(np.sqrt(length * length / (window.size * np.sum(taper**2) * 2.0)))
-    times = np.arange(length) * (window.size * balances.readings.period / length)
-    nearest = np.rint(times / balances.readings.period).astype(int)
+    times = np.arange(length) * (window.size * balances.motion.readings.period / length)
+    nearest = np.rint(times / balances.motion.readings.period).astype(int)
     inside = nearest < window.count
     usable = np.zeros(length, dtype=bool)
-    usable[inside] = balances.readings.valid[nearest[inside]]
+    usable[inside] = balances.motion.readings.valid[nearest[inside]]
     keep = np.flatnonzero(usable)
     return Whitening(
-        matrix, taper, window.size, _window(balances), length, keep, times[keep], len(balances.rows) - len(balances.missing), scale
+        matrix,
+        taper,
+        window.size,
+        _window(balances),
+        length,
+        keep,
+        times[keep],
+        len(balances.rows) - len(balances.motion.missing),
+        scale,
     )
 
 
 def _window(balances: Balances) -> np.ndarray:
     """1 on usable samples, cosine flanks inside the unused margin, 0 beyond."""
-    reach = max(2, int(3.0 * balances.readings.sigma / balances.readings.period))
+    reach = max(2, int(3.0 * balances.motion.readings.sigma / balances.motion.readings.period))
     flank = np.hanning(2 * reach + 3)[1:-1]
     padded = np.zeros(balances.filter.size)
-    padded[: balances.filter.count] = balances.readings.valid
+    padded[: balances.filter.count] = balances.motion.readings.valid
     return np.clip(np.convolve(padded, flank / flank.sum(), mode="same") * 2.0, 0.0, 1.0)
 
 
-def _transfer(balances: Balances, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _transfer(
+    balances: Balances, omega: np.ndarray, effects: Sequence[Planned]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """T (F, m, channels), variances (channels,), and the part that a varying mass matrix adds (F, m, m)."""
-    robot, readings, rigid = balances.robot, balances.readings, balances.rigid
+    robot, readings, rigid = balances.motion.robot, balances.motion.readings, balances.motion.rigid
     n, m = len(robot.joints), len(balances.rows)
     s = 1j * omega
     used = readings.valid
-    by_q, by_v, mass = (x[used].mean(axis=0) for x in (rigid.by_q, rigid.by_v, rigid.mass))
+    inertias = rigid.mass + _added_mass(balances, effects)
+    by_q, by_v, mass = (x[used].mean(axis=0) for x in (rigid.by_q, rigid.by_v, inertias))
     transfer = np.zeros((omega.size, m, 4 * n), dtype=complex)
     q, theta, tau_t, torque = (k * n + np.arange(n) for k in range(4))
     links = [joint.rigid for joint in robot.joints]
     for r, row in enumerate(balances.rows):
-        i, drive = row.joint, robot.joints[row.joint].drive
+        i, drive = row.joint, _drive(robot.joints[row.joint], effects)
         shaft = drive.B * s**2 + drive.D_m * s
         if row.balance == MOTOR and links[i]:
             transfer[:, r, torque[i]] = 1.0
@@ -120,12 +137,17 @@ def _transfer(balances: Balances, omega: np.ndarray) -> tuple[np.ndarray, np.nda
     noise = np.stack([readings.noise[name] for name in ("q", "theta", "tau_t", "torque")]).ravel()
     largest = max(float(np.max(noise[: 2 * n])), 1e-7)
     variances = noise**2
-    for channel, i in balances.missing:
+    for e in effects:
+        i = robot.joint_names.index(e.joint) if e.joint is not None else 0
+        for channel, index in (("q", q[i]), ("theta", theta[i]), ("tau_t", tau_t[i])):
+            if e.effect.site is Site.SENSOR and channel in e.effect.channels(e.p):
+                variances[index] /= sensor_slope(e) ** 2
+    for channel, i in balances.motion.missing:
         variances[q[i] if channel == "q" else theta[i]] = (UNBOUNDED * largest) ** 2
     extra = np.zeros((omega.size, m, m), dtype=complex)
     rows = {row.joint: r for r, row in enumerate(balances.rows) if row.balance == LINK}
-    unmeasured = {i for channel, i in balances.missing if channel == "q"}
-    spread = rigid.mass[used] - mass
+    unmeasured = {i for channel, i in balances.motion.missing if channel == "q"}
+    spread = inertias[used] - mass
     for k in range(n):
         if k in unmeasured or links[k]:
             continue
@@ -134,3 +156,39 @@ def _transfer(balances: Balances, omega: np.ndarray) -> tuple[np.ndarray, np.nda
             for j, rj in rows.items():
                 extra[:, ri, rj] += variances[q[k]] * covariance[i, j] * omega**4
     return transfer, variances, extra
+
+
+def sensor_slope(e: Planned) -> float:
+    """How much a sensor effect magnifies its channel."""
+    signals, p = Signals(), e.p
+    return float(e.effect.map(signals, p, 1.0) - e.effect.map(signals, p, 0.0))
+
+
+def changes_noise(e: Planned) -> bool:
+    """Whether an effect changes what sensor noise makes of the balances."""
+    if e.effect.site is Site.SENSOR:
+        return not np.isclose(sensor_slope(e), 1.0, atol=0.01)
+    return e.effect.overrides("edit_drive") or e.effect.overrides("edit_inertial")
+
+
+def _drive(joint: Joint, effects: Sequence[Planned]) -> Drive:
+    drive = joint.drive
+    for e in effects:
+        if e.joint == joint.name:
+            drive = e.effect.edit_drive(drive, e.p)
+    return drive
+
+
+def _added_mass(balances: Balances, effects: Sequence[Planned]) -> np.ndarray | float:
+    """(N, n, n) what BODY effects add to the mass matrix along the motion."""
+    motion = balances.motion
+    inertial = inertial_of(motion.robot.model)
+    changed = False
+    for e in effects:
+        if e.effect.overrides("edit_inertial") and e.joint is not None:
+            body = motion.robot.joint(e.joint).pin_id - 1
+            inertial[body] = np.array(e.effect.edit_inertial(list(inertial[body]), e.p), dtype=float)
+            changed = True
+    if not changed:
+        return 0.0
+    return along(motion.robot, motion.filter, motion.q, motion.passive, inertial).mass - motion.rigid.mass

@@ -1,0 +1,325 @@
+"""One joint's side of the balances, from its readings and the effects assumed on it.
+
+This file knows sites of the signal flow, never effects: every effect enters through its own law. A law is
+evaluated on unfiltered positions, then filtered (a filter does not commute with a kink).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+from scipy.ndimage import map_coordinates
+
+from flexjoint.diagnose.motion import Motion
+from flexjoint.effect import Drive, Planned, Signals, Site
+
+INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
+REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trusted
+WIDE = 3.0  # standard deviations of the net torque's noise by which its clip is widened
+HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
+FRICTION_ROUNDS = 4
+CACHED = 256
+
+
+@dataclass(frozen=True)
+class Chain:
+    """One joint's spectra (F,), already filtered."""
+
+    motor: np.ndarray  # torque on the motor other than the spring's
+    spring_torque: np.ndarray  # s
+    link: np.ndarray  # torque on the link other than the spring's
+    reading: np.ndarray  # tau_t, corrected
+    q_change: np.ndarray | None  # what sensor effects change of the link angle; None: nothing
+
+
+class Chains:
+    """Chains of all joints along one motion, remembered by the effects on them."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+        self.filter, self.jomega = motion.filter, 1j * motion.filter.omega
+        self.period = motion.readings.period
+        self.t = motion.readings.time - motion.readings.start
+        self._cache: dict[object, Chain] = {}
+        self._bases: dict[int, Base] = {}
+
+    def base(self, i: int) -> Base:
+        if i not in self._bases:
+            self._bases[i] = Base(self.motion, i)
+        return self._bases[i]
+
+    def get(self, i: int, effects: Sequence[Planned]) -> Chain:
+        """The chain of joint i with these effects of its own at work."""
+        key = (i, *(identity(e) for e in effects))
+        if key not in self._cache:
+            if len(self._cache) >= CACHED:
+                self._cache.clear()
+            self._cache[key] = self._chain(i, effects)
+        return self._cache[key]
+
+    def _chain(self, i: int, effects: Sequence[Planned]) -> Chain:
+        joint, base, s = self.motion.robot.joints[i], self.base(i), self.jomega
+        at = _by_site(effects)
+        drive, gated = joint.drive, []
+        for e in effects:
+            if e.since is not None and e.effect.overrides("edit_drive"):
+                gated.append(e)
+            else:
+                drive = e.effect.edit_drive(drive, e.p)
+        sensed = bool(at[Site.SENSOR])
+        q, theta, tau_t = self._true_readings(i, at[Site.SENSOR])
+        q_hat, theta_hat = (
+            (self._filtered(q), self._filtered(theta)) if sensed else (base.q_hat, base.theta_hat)
+        )
+        torque, torque_hat = base.torque, base.torque_hat
+        if at[Site.COMMAND]:
+            torque = self._command(i, at[Site.COMMAND])
+            torque_hat = self._filtered(torque)
+
+        signals = Signals(t=self.t, q=q, theta=theta, phi=theta - q, tau_m=torque)
+        if effects:
+            signals.dtheta = self._time(s * theta_hat) if sensed else base.dtheta
+            signals.dq = self._time(s * q_hat) if sensed else base.dq
+            signals.dphi = signals.dtheta - signals.dq
+        spring_hat = np.zeros_like(theta_hat)
+        if not joint.rigid:
+            spring_hat = self._spring(drive, signals, q_hat, theta_hat, at)
+        if effects:
+            signals.tau_t = self.motion.rigid.tau[i] if joint.rigid else self._time(spring_hat)
+        motor_hat = torque_hat - (drive.B * s**2 + drive.D_m * s) * theta_hat
+        for e in gated:
+            motor_hat, spring_hat = self._gated_drive(e, drive, motor_hat, spring_hat, q_hat, theta_hat)
+        motor_hat = motor_hat + self._torques(at[Site.MOTOR], signals)
+        link_hat = self._torques(at[Site.LINK], signals)
+        own = motor_hat if joint.rigid else spring_hat
+        link_hat = link_hat + self._link_friction(i, at[Site.LINK], signals, own + link_hat)
+        if base.driven:
+            load = self.filter.spectrum(self.motion.rigid.tau[i]) - link_hat if joint.rigid else spring_hat
+            motor_hat = motor_hat + self._motor_friction(i, at[Site.MOTOR], signals, drive, motor_hat - load)
+        reading = base.reading
+        if sensed and np.isfinite(tau_t[0]):
+            reading = self._filtered(tau_t)
+        change = q_hat - base.q_hat if sensed and q is not base.q else None
+        if joint.rigid:
+            motor_hat, link_hat = motor_hat + link_hat, np.zeros_like(link_hat)
+        return Chain(motor_hat, spring_hat, link_hat, reading, change)
+
+    # ------------------------------------------------------------------ sites
+    def _true_readings(self, i: int, sensors: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Readings with the sensors' effects taken back, the last one first."""
+        base = self.base(i)
+        readings = {"q": base.q, "theta": base.theta, "tau_t": base.tau_t}
+        rigid = self.motion.robot.joints[i].rigid
+        for e in reversed(sensors):
+            p = e.p
+            for channel in e.effect.channels(p):
+                if channel not in readings or not np.isfinite(readings[channel][0]):
+                    continue
+                measured = true = readings[channel]
+                if e.effect.overrides("map"):
+                    for _ in range(INVERSION_ROUNDS):
+                        true = measured - (e.effect.map(Signals(t=self.t), p, true) - true)
+                if e.effect.overrides("delay"):
+                    # x(t + delay) by cubic interpolation on the even grid
+                    at = np.arange(true.size) + float(e.effect.delay(p)) / self.period
+                    true = map_coordinates(true, [at], order=3, mode="nearest")
+                readings[channel] = self._since(e, true, measured)
+        q = readings["theta"] if rigid else readings["q"]
+        return q, readings["theta"], readings["tau_t"]
+
+    def _command(self, i: int, effects: Sequence[Planned]) -> np.ndarray:
+        base = self.base(i)
+        torque = base.torque
+        for e in effects:
+            p, before = e.p, torque
+            signals = Signals(
+                t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta, tau_m=torque
+            )
+            if e.effect.overrides("delay"):
+                torque = np.interp(self.t - float(e.effect.delay(p)), self.t, torque)
+            torque = self._since(e, e.effect.map(signals, p, torque), before)
+        return torque
+
+    def _spring(
+        self,
+        drive: Drive,
+        signals: Signals,
+        q_hat: np.ndarray,
+        theta_hat: np.ndarray,
+        at: dict[Site, list[Planned]],
+    ) -> np.ndarray:
+        """Spectrum of s: linear part from the filtered encoders, effects from the unfiltered deflection.
+        Sets signals.phi and dphi to what the deflection effects leave (SPRING laws see that)."""
+        linear = (drive.K + drive.D * self.jomega) * (theta_hat - q_hat)
+        if not at[Site.DEFLECTION] and not at[Site.SPRING]:
+            return linear
+        extra = np.zeros_like(signals.phi)
+        for e in at[Site.DEFLECTION]:
+            p = e.p
+            mapped = self._since(e, e.effect.map(signals, p, signals.phi), signals.phi)
+            left = self._since(e, e.effect.slope(signals, p) * np.ones_like(mapped), np.ones_like(mapped))
+            extra = extra + drive.K * (mapped - signals.phi) + drive.D * (left - 1.0) * signals.dphi
+            signals.phi, signals.dphi = mapped, left * signals.dphi
+        for e in at[Site.SPRING]:
+            if e.effect.overrides("torque"):
+                torque = e.effect.torque(signals, e.p, self._state(e, signals))
+                extra = extra + self._since(e, torque, np.zeros_like(extra))
+        return linear + self._filtered(extra)
+
+    def _gated_drive(
+        self,
+        e: Planned,
+        drive: Drive,
+        motor: np.ndarray,
+        spring: np.ndarray,
+        q_hat: np.ndarray,
+        theta_hat: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A change of K, D, B or D_m that sets in during the recording: its torque, gated in time."""
+        s, edited = self.jomega, e.effect.edit_drive(drive, e.p)
+        gate = (self.t >= (e.since or 0.0)).astype(float)
+        shaft = ((edited.B - drive.B) * s**2 + (edited.D_m - drive.D_m) * s) * theta_hat
+        motor = motor - self.filter.spectrum(gate * self._time(shaft))
+        if np.isfinite(drive.K):
+            twist = ((edited.K - drive.K) + (edited.D - drive.D) * s) * (theta_hat - q_hat)
+            spring = spring + self.filter.spectrum(gate * self._time(twist))
+        return motor, spring
+
+    def _torques(self, effects: Sequence[Planned], signals: Signals) -> np.ndarray | float:
+        """Spectrum of the torques (not the dry frictions) that act on the motor or the link."""
+        acting = [e for e in effects if e.effect.overrides("torque")]
+        if not acting:
+            return 0.0
+        total = np.zeros(self.filter.count)
+        for e in acting:
+            torque = e.effect.torque(signals, e.p, self._state(e, signals)) * np.ones_like(total)
+            total = total + self._since(e, torque, np.zeros_like(total))
+        return self._filtered(total)
+
+    # ------------------------------------------------------------------ dry friction
+    def _link_friction(
+        self, i: int, effects: Sequence[Planned], signals: Signals, torque_hat: np.ndarray
+    ) -> np.ndarray | float:
+        dry = [e for e in effects if e.effect.overrides("level")]
+        if not dry:
+            return 0.0
+        net = self._time(torque_hat) - self.motion.rigid.tau[i]
+        noise = float(self.motion.readings.noise["q"][i])
+        return self._dry(dry, signals, signals.dq, net, self._link_inertia(i), noise)
+
+    def _motor_friction(
+        self, i: int, effects: Sequence[Planned], signals: Signals, drive: Drive, net_hat: np.ndarray
+    ) -> np.ndarray | float:
+        dry = [e for e in effects if e.effect.overrides("level")]
+        if not dry:
+            return 0.0
+        rigid = self.motion.robot.joints[i].rigid
+        inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
+        noise = float(self.motion.readings.noise["theta"][i])
+        return self._dry(dry, signals, signals.dtheta, self._time(net_hat), inertia, noise)
+
+    def _link_inertia(self, i: int) -> float:
+        return float(np.mean(self.motion.rigid.mass[:, i, i]))
+
+    def _dry(
+        self,
+        effects: Sequence[Planned],
+        signals: Signals,
+        speed: np.ndarray,
+        net: np.ndarray,
+        inertia: float,
+        encoder: float,
+    ) -> np.ndarray:
+        """Spectrum of the dry friction, a set-valued law evaluated on data: level sgn(speed) in motion; at
+        rest what holds the body, which the balance itself tells, within +-level.
+
+        The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
+        (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
+        """
+        level = np.zeros_like(speed)
+        for e in effects:
+            value = e.effect.level(signals, e.p) * np.ones_like(speed)
+            level = level + self._since(e, value, np.zeros_like(value))
+        window = self.filter
+        # what the encoder's noise makes of inertia x acceleration in the net torque
+        slack = WIDE * inertia * encoder * float(np.sqrt(np.mean((window.omega**2 * window.gain) ** 2)))
+        bound = HELD * level + slack
+        lost = 1.0 - window.gain
+        integral = np.divide(lost, self.jomega, out=np.zeros_like(self.jomega), where=window.omega > 0)
+        sharp_speed, sharp_net = speed, net
+        for _ in range(FRICTION_ROUNDS):
+            held = np.clip(sharp_net, -bound, bound)
+            friction = np.where(np.abs(sharp_speed) > REST_SPEED, level * np.sign(sharp_speed), held)
+            spectrum = window.spectrum(friction)
+            sharp_net = net + self._time(spectrum * lost)
+            sharp_speed = speed - self._time(spectrum * integral) / inertia
+        return -spectrum * window.gain
+
+    # ------------------------------------------------------------------ helpers
+    def _state(self, e: Planned, signals: Signals) -> np.ndarray | float:
+        """Internal state of an effect along the recording; rates are affine in the state, so that each
+        step is exact for signals held over it."""
+        if not e.effect.states:
+            return 0.0
+        p, one = e.p, np.ones(self.filter.count)
+        smooth = replace(signals, phi=self.filter.smooth(signals.phi))
+        offset = e.effect.rate(smooth, p, 0.0 * one) * one
+        decay = offset - e.effect.rate(smooth, p, one)
+        h = self.period
+        keep = np.exp(-np.clip(decay, 0.0, 1e5) * h)
+        gain = np.where(decay * h < 1e-6, h, (1.0 - keep) / np.maximum(decay, 1e-12))
+        z, out = float(e.effect.states[0]), []
+        for k, a in zip(keep.tolist(), (gain * offset).tolist(), strict=True):
+            out.append(z)
+            z = k * z + a
+        return np.array(out)
+
+    def _since(self, e: Planned, with_effect: np.ndarray, without: np.ndarray) -> np.ndarray:
+        return with_effect if e.since is None else np.where(self.t >= e.since, with_effect, without)
+
+    def _filtered(self, x: np.ndarray) -> np.ndarray:
+        return self.filter.spectrum(x) * self.filter.gain
+
+    def _time(self, spectrum: np.ndarray) -> np.ndarray:
+        return fft.irfft(spectrum, self.filter.size)[: self.filter.count]
+
+
+class Base:
+    """What of a joint's readings does not depend on any effect, computed once."""
+
+    def __init__(self, motion: Motion, i: int) -> None:
+        window, readings = motion.filter, motion.readings
+        self.q, self.theta, self.tau_t = motion.q[i], motion.theta[i], readings.tau_t[i]
+        self._window = window
+        self.driven = bool(np.isfinite(readings.torque[i, 0]))
+        self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
+        self.torque_hat = window.spectrum(self.torque) * window.gain
+        self.q_hat = window.spectrum(self.q) * window.gain
+        self.theta_hat = window.spectrum(self.theta) * window.gain
+        measured = bool(np.isfinite(self.tau_t[0]))
+        self.reading = window.spectrum(self.tau_t) * window.gain if measured else np.zeros_like(self.q_hat)
+
+    @cached_property
+    def dq(self) -> np.ndarray:
+        return self._window.smooth(self.q, 1)
+
+    @cached_property
+    def dtheta(self) -> np.ndarray:
+        return self._window.smooth(self.theta, 1)
+
+
+def identity(e: Planned) -> tuple[object, ...]:
+    """What makes two planned effects the same to a chain."""
+    values = tuple(tuple(v) if isinstance(v, (list, tuple)) else v for v in e.values.values())
+    return e.effect.name, e.joint, tuple(e.values), values, e.since
+
+
+def _by_site(effects: Sequence[Planned]) -> dict[Site, list[Planned]]:
+    sites: dict[Site, list[Planned]] = {site: [] for site in Site}
+    for e in effects:
+        sites[e.effect.site].append(e)
+    return sites

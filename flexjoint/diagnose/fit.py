@@ -1,0 +1,211 @@
+"""Joint fit of all parameters of a set of effects: Levenberg-Marquardt on the whitened residual with the
+nominal model's tolerances marginalised in every step (variable projection)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from flexjoint.diagnose.whitening import changes_noise
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.effect import Param, Planned
+
+RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
+CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
+INSTRUMENTED_STEPS = 3
+POSITION_SPREAD = 0.5  # m, a weak prior that holds components of a position which the data do not see
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One free number of one effect."""
+
+    effect: int
+    param: Param
+    component: int  # of a vector parameter
+
+    def get(self, effects: Sequence[Planned]) -> float:
+        value = effects[self.effect].values[self.param.name]
+        return float(value[self.component]) if self.param.size > 1 else float(value)
+
+    def put(self, effects: list[Planned], number: float) -> None:
+        planned = effects[self.effect]
+        value: Any = float(number)
+        if self.param.size > 1:
+            vector = list(planned.values[self.param.name])
+            vector[self.component] = float(number)
+            value = tuple(vector)
+        effects[self.effect] = planned.with_values({self.param.name: value})
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted set of effects (beyond the nominal model, or replacing its entries)."""
+
+    workspace: Workspace  # whitened under these effects
+    effects: tuple[Planned, ...]
+    energy: float  # Q(y, y) at the optimum, plus weak priors
+    y: np.ndarray  # (samples,) whitened residual
+    tangents: np.ndarray  # (slots, samples) its derivatives
+    slots: tuple[Slot, ...]
+
+
+def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
+    return tuple(
+        Slot(i, param, component)
+        for i, planned in enumerate(effects)
+        for param in planned.effect.params
+        for component in range(param.size)
+    )
+
+
+def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) -> Fit:
+    """Fit all free numbers, starting from the given values; bounds are kept by clipping. Where the fitted
+    effects change the noise, the residual is whitened anew and the fit continued."""
+    first = _descend(workspace, effects, iterations)
+    again = workspace.under(first.effects)
+    return first if again is workspace else _descend(again, first.effects, max(2, iterations // 3))
+
+
+def _descend(workspace: Workspace, effects: Sequence[Planned], iterations: int) -> Fit:
+    slots = slots_of(effects)
+    current = list(effects)
+    y = workspace.whitened(workspace.with_nominal(current))
+    if not slots:
+        return Fit(
+            workspace, tuple(current), workspace.judged_energy(y, current), y, np.zeros((0, y.size)), slots
+        )
+    energy = workspace.energy(y) + _prior(slots, current)
+    damping, jacobian = 1e-3, _jacobian(workspace, current, slots)
+    for _ in range(iterations):
+        normal, slope = _normal_equations(workspace, jacobian, y, slots, current)
+        while damping < 1e8:
+            trial = _step(current, slots, normal, slope, damping)
+            trial_y = workspace.whitened(workspace.with_nominal(trial))
+            trial_energy = workspace.energy(trial_y) + _prior(slots, trial)
+            if np.isfinite(trial_energy) and trial_energy < energy:
+                break
+            damping *= 10.0
+        else:
+            break
+        gained = energy - trial_energy
+        current, y, energy = trial, trial_y, trial_energy
+        damping = max(damping * 0.1, 1e-9)
+        jacobian = _jacobian(workspace, current, slots)
+        if gained < CONVERGED + 1e-6 * energy:
+            break
+    current, y, jacobian = _instrumented(workspace, current, y, jacobian, slots)
+    energy = workspace.judged_energy(y, current) + _prior(slots, current)
+    return Fit(workspace, tuple(_wrap(current)), energy, y, jacobian, slots)
+
+
+def _instrumented(
+    workspace: Workspace, current: list[Planned], y: np.ndarray, jacobian: np.ndarray, slots: Sequence[Slot]
+) -> tuple[list[Planned], np.ndarray, np.ndarray]:
+    """Last steps for effects that change what noise makes of a balance: their columns hold the same noise as
+    the residual, which draws a plain fit towards numbers that shrink it. Columns of the denoised recording
+    serve as instruments (Janot, Vandanjon and Gautier 2014)."""
+    noisy = [changes_noise(current[slot.effect]) for slot in slots]
+    if not any(noisy):
+        return current, y, jacobian
+    for _ in range(INSTRUMENTED_STEPS):
+        base, quiet = workspace.with_nominal(current), jacobian.copy()
+        for k, slot in enumerate(slots):
+            if noisy[k]:
+                moved, step = list(current), step_of(workspace, slot, current)
+                slot.put(moved, slot.get(current) + step)
+                quiet[k] = workspace.quiet_change(base, workspace.with_nominal(moved)) / step
+        normal, slope = _normal_equations(workspace, quiet, y, slots, current)
+        current = _step(current, slots, normal, slope, 1e-9)
+        y = workspace.whitened(workspace.with_nominal(current))
+    return current, y, quiet
+
+
+def _step(
+    current: list[Planned], slots: Sequence[Slot], normal: np.ndarray, slope: np.ndarray, damping: float
+) -> list[Planned]:
+    """A damped Gauss-Newton step in scaled numbers, clipped into the bounds."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size) + damping * np.eye(len(slots))
+    step = -np.linalg.lstsq(scaled, slope / size, rcond=1e-12)[0] / size
+    trial = list(current)
+    for slot, number in zip(slots, step, strict=True):
+        moved = slot.get(current) + float(number)
+        slot.put(trial, float(np.clip(moved, slot.param.low, slot.param.high)))
+    return trial
+
+
+def _jacobian(workspace: Workspace, effects: list[Planned], slots: Sequence[Slot]) -> np.ndarray:
+    base = workspace.with_nominal(effects)
+    rows = []
+    for slot in slots:
+        here = slot.get(effects)
+        step = step_of(workspace, slot, effects)
+        if here + step > slot.param.high:
+            step = -step
+        moved = list(effects)
+        slot.put(moved, here + step)
+        rows.append(workspace.change(base, workspace.with_nominal(moved)) / step)
+    return np.array(rows)
+
+
+def step_of(workspace: Workspace, slot: Slot, effects: Sequence[Planned]) -> float:
+    """Finite-difference step: relative to the value, but not below a size the data could ever show."""
+    here = abs(slot.get(effects))
+    floor = {"rad": 1e-6, "s": 1e-6, "m": 1e-3, "kg": 1e-4}.get(slot.param.unit, 1e-5)
+    return max(RELATIVE_STEP * here, floor)
+
+
+def _normal_equations(
+    workspace: Workspace,
+    jacobian: np.ndarray,
+    y: np.ndarray,
+    slots: Sequence[Slot],
+    effects: Sequence[Planned],
+) -> tuple[np.ndarray, np.ndarray]:
+    normal = workspace.product(jacobian, jacobian)
+    slope = workspace.against(jacobian, y)
+    for k, slot in enumerate(slots):
+        if slot.param.unit == "m":
+            normal[k, k] += 1.0 / POSITION_SPREAD**2
+            slope[k] += slot.get(effects) / POSITION_SPREAD**2
+    return normal, slope
+
+
+def _prior(slots: Sequence[Slot], effects: Sequence[Planned]) -> float:
+    return sum((slot.get(effects) / POSITION_SPREAD) ** 2 for slot in slots if slot.param.unit == "m")
+
+
+def _wrap(effects: Sequence[Planned]) -> list[Planned]:
+    """Angles into (-pi, pi]."""
+    out = []
+    for planned in effects:
+        turned = {
+            p.name: float(np.angle(np.exp(1j * planned.values[p.name])))
+            for p in planned.effect.params
+            if p.wraps
+        }
+        out.append(replace(planned, values={**planned.values, **turned}) if turned else planned)
+    return out
+
+
+def covariance(result: Fit, blocks: np.ndarray) -> np.ndarray:
+    """(slots, slots) covariance of the fitted numbers that holds when the residual is not white: bread from
+    the curvature, meat from the scores of time blocks (White 1980; Newey and West 1987). `blocks` (samples,)
+    numbers each sample's block. Never below what the predicted noise alone gives."""
+    k, workspace = len(result.slots), result.workspace
+    if k == 0:
+        return np.zeros((0, 0))
+    normal, _ = _normal_equations(workspace, result.tangents, result.y, result.slots, result.effects)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    bread = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
+    projected, residual = workspace.project(result.tangents), workspace.rest(result.y)
+    count = int(blocks.max()) + 1
+    scores = np.stack([np.bincount(blocks, weights=row * residual, minlength=count) for row in projected])
+    meat = scores @ scores.T * (count / max(1, count - k))
+    robust = bread @ meat @ bread
+    scale = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(bread), 1e-300)))
+    return bread * np.outer(scale, scale)

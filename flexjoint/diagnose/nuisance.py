@@ -1,0 +1,230 @@
+"""Nominal numbers that are not exactly known: one whitened column each, in units of its tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
+from flexjoint.diagnose.whitening import Whitening
+from flexjoint.effect import Drive, Effect, Param, Planned, Site
+from flexjoint.robot import Robot
+
+OFFSET_SPREAD = 0.2  # rad, standard deviation of an encoder offset that is free in each recording
+OTHER_COMPONENT = 0.1  # a centre of mass is trusted in its small components to this share of its length
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A nominal number: the name of its deviation, joint, and prior standard deviation (relative, or
+    absolute where the number has no scale)."""
+
+    name: str  # spring_stiffness | spring_damping | motor_inertia | motor_damping | inertial | ...
+    joint: str | None
+    spread: float
+
+
+class DriveDeviation(Effect):
+    """An actuator whose nominal numbers are off by relative amounts (not a cause: a tolerance at work)."""
+
+    site = Site.MOTOR
+    params = tuple(Param(name, "1", name, 0.0, -0.95, 100.0) for name in ("K", "D", "B", "D_m"))
+
+    def edit_drive(self, drive: Drive, p: Any) -> Drive:
+        return drive.scaled(K=1.0 + p.K, D=1.0 + p.D, B=1.0 + p.B, D_m=1.0 + p.D_m)
+
+
+class InertialDeviation(Effect):
+    """A link whose nominal inertial parameters are off (not a cause: a tolerance at work)."""
+
+    site = Site.BODY
+    params = (Param("added", "", r"\Delta\pi", 0.0, -1e9, 1e9, size=10),)
+
+    def edit_inertial(self, inertial: Any, p: Any) -> Any:
+        return [have + more for have, more in zip(inertial, p.added, strict=True)]
+
+
+NUMBERS = {"spring_stiffness": "K", "spring_damping": "D", "motor_inertia": "B", "motor_damping": "D_m"}
+
+
+def as_effects(
+    nuisance: Sequence[Nuisance], deviations: np.ndarray, nominal: np.ndarray, robot: Robot
+) -> list[Planned]:
+    """Deviations of the actuators and links, in prior deviations, as effects that a model can hold.
+    `nominal` (n, 10) are the links' inertial parameters."""
+    drives: dict[str, dict[str, float]] = {}
+    added: dict[str, np.ndarray] = {}
+    seen: dict[str, int] = {}
+    for number, deviation in zip(nuisance, deviations, strict=True):
+        if number.joint is None:
+            continue
+        if number.name in NUMBERS:
+            change = max(-0.9, float(deviation) * number.spread)
+            drives.setdefault(number.joint, {})[NUMBERS[number.name]] = change
+        elif number.name == "inertial":
+            i = robot.joint_names.index(number.joint)
+            directions = inertial_directions(nominal[i], number.spread)
+            step = directions[seen.get(number.joint, 0)] * float(deviation)
+            added[number.joint] = added.get(number.joint, np.zeros(10)) + step
+            seen[number.joint] = seen.get(number.joint, 0) + 1
+    out = [
+        Planned(DriveDeviation(), joint, {**dict.fromkeys("KB", 0.0), "D": 0.0, "D_m": 0.0, **values})
+        for joint, values in drives.items()
+    ]
+    out += [
+        Planned(InertialDeviation(), joint, {"added": tuple(map(float, change))})
+        for joint, change in added.items()
+    ]
+    return out
+
+
+class Columns:
+    """Builds the columns of one set of balances under one whitening."""
+
+    def __init__(self, balances: Balances, whitening: Whitening) -> None:
+        self.balances, self.whitening = balances, whitening
+        self.motion, self.robot = balances.motion, balances.motion.robot
+        self.nuisance: list[Nuisance] = []
+        self.samples = whitening.time.size * len(balances.rows)
+        columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
+        if self.robot.file.offsets == "per_recording":
+            columns += self._offset_columns()
+        self.matrix = np.array(columns) if columns else np.zeros((0, self.samples))
+
+    def _drive_columns(self) -> list[np.ndarray]:
+        tolerance = self.robot.tolerance
+        columns: list[np.ndarray] = []
+        for i, joint in enumerate(self.robot.joints):
+            drive, s = joint.drive, self.balances.chains.jomega
+            theta = self._spectrum(self.motion.theta[i])
+            phi = theta - self._spectrum(self.motion.q[i])
+            shaft = {"motor_inertia": drive.B * s**2 * theta, "motor_damping": drive.D_m * s * theta}
+            spreads = {"motor_inertia": tolerance.inertial, "motor_damping": tolerance.damping}
+            for name, spectrum in shaft.items():
+                if self._row(MOTOR, i) is not None:
+                    columns.append(self._column({(MOTOR, i): -spreads[name] * spectrum}))
+                    self.nuisance.append(Nuisance(name, joint.name, spreads[name]))
+            if joint.rigid:
+                continue
+            for name, spectrum, spread in (
+                ("spring_stiffness", drive.K * phi, tolerance.stiffness),
+                ("spring_damping", drive.D * s * phi, tolerance.damping),
+            ):
+                change = spread * spectrum
+                columns.append(self._column({(MOTOR, i): -change, (LINK, i): change, (SPRING, i): -change}))
+                self.nuisance.append(Nuisance(name, joint.name, spread))
+        return columns
+
+    def _inertial_columns(self) -> list[np.ndarray]:
+        """Mass, centre of mass and inertia about it of every actuated link, each with its own tolerance."""
+        tolerance = self.robot.tolerance.inertial
+        columns: list[np.ndarray] = []
+        if tolerance == 0:
+            return columns
+        for i, joint in enumerate(self.robot.joints):
+            nominal = self.motion.rigid.inertial[i]
+            if nominal[0] <= 0:
+                continue
+            for direction in inertial_directions(nominal, tolerance):
+                columns.append(self.load_column(self.balances.inertial_torque(i, direction)))
+                self.nuisance.append(Nuisance("inertial", joint.name, tolerance))
+        return columns
+
+    def _effect_columns(self) -> list[np.ndarray]:
+        """Numbers of the effects that the nominal model claims."""
+        tolerance = self.robot.tolerance
+        columns: list[np.ndarray] = []
+        trust = {Site.MOTOR: tolerance.damping, Site.LINK: tolerance.damping, Site.BODY: tolerance.inertial}
+        base = list(self.robot.effects)
+        for e in self.robot.effects:
+            spread = trust.get(e.effect.site, tolerance.stiffness)
+            for param in e.effect.nulls:
+                value = e.values.get(param.name)
+                if param.size > 1 or not value or not np.isfinite(value) or spread == 0:
+                    continue
+                moved = e.with_values({param.name: value * (1.0 + spread)})
+                changed = self.balances.change(base, [moved if x is e else x for x in base])
+                columns.append(self.whitening.apply(changed).ravel())
+                self.nuisance.append(Nuisance(e.effect.name, e.joint, spread))
+        return columns
+
+    def _offset_columns(self) -> list[np.ndarray]:
+        """Encoder offsets, free in each recording."""
+        columns: list[np.ndarray] = []
+        ones = np.ones(self.balances.filter.count)
+        unit = self._spectrum(ones)
+        for i, joint in enumerate(self.robot.joints):
+            stiff = 0.0 if joint.rigid else joint.drive.K * OFFSET_SPREAD
+            load = self._load_rows(OFFSET_SPREAD * self.motion.rigid.by_q[:, :, i].T)
+            if joint.rigid:
+                columns.append(self._column(load))
+                self.nuisance.append(Nuisance("motor_encoder_offset", joint.name, OFFSET_SPREAD))
+                continue
+            twist = {(MOTOR, i): -stiff * unit, (LINK, i): stiff * unit, (SPRING, i): -stiff * unit}
+            columns.append(self._column(twist))
+            self.nuisance.append(Nuisance("motor_encoder_offset", joint.name, OFFSET_SPREAD))
+            back = {key: -value for key, value in twist.items()}
+            for key, value in load.items():
+                back[key] = back.get(key, 0.0) + value
+            columns.append(self._column(back))
+            self.nuisance.append(Nuisance("link_encoder_offset", joint.name, OFFSET_SPREAD))
+        return columns
+
+    def load_column(self, torque: np.ndarray) -> np.ndarray:
+        """(samples,) whitened trace of a change (n, N) of the rigid-body torques."""
+        return self._column(self._load_rows(torque))
+
+    def _load_rows(self, torque: np.ndarray) -> dict[tuple[str, int], np.ndarray]:
+        """A change (n, N) of the rigid-body torques as it enters the balances."""
+        out = {}
+        for k, other in enumerate(self.robot.joints):
+            if np.any(torque[k]):
+                out[(MOTOR if other.rigid else LINK, k)] = -self.balances.filter.spectrum(torque[k])
+        return out
+
+    def _column(self, entries: dict[tuple[str, int], np.ndarray]) -> np.ndarray:
+        spectra = np.zeros((len(self.balances.rows), self.balances.filter.omega.size), dtype=complex)
+        for (balance, joint), spectrum in entries.items():
+            row = self._row(balance, joint)
+            if row is not None:
+                spectra[row] = spectrum
+        return self.whitening.apply(spectra).ravel() if np.any(spectra) else np.zeros(self.samples)
+
+    def _row(self, balance: str, joint: int) -> int | None:
+        for r, row in enumerate(self.balances.rows):
+            if row.balance == balance and row.joint == joint:
+                return r
+        return None
+
+    def _spectrum(self, x: np.ndarray) -> np.ndarray:
+        return self.balances.filter.spectrum(x) * self.balances.filter.gain
+
+
+def inertial_directions(nominal: np.ndarray, tolerance: float) -> list[np.ndarray]:
+    """One-deviation changes of (m, m c, I) for mass, centre of mass and inertia about it: ten directions.
+
+    A small component of the centre of mass is trusted to `OTHER_COMPONENT` of its whole length, a product
+    of inertia to the same share of the trace."""
+    m, c = nominal[0], nominal[1:4] / nominal[0]
+    directions = []
+    unit = np.concatenate([[1.0], c, _second(c, c)])
+    directions.append(tolerance * m * unit)
+    length = float(np.linalg.norm(c))
+    for axis in np.eye(3):
+        step = tolerance * (abs(float(axis @ c)) + OTHER_COMPONENT * length) * axis
+        directions.append(np.concatenate([[0.0], m * step, m * (_second(c, step) + _second(step, c))]))
+    central = nominal[4:] - m * _second(c, c)
+    trace = central[0] + central[2] + central[5]
+    for k in range(6):
+        size = tolerance * (abs(central[k]) + (OTHER_COMPONENT * trace if k in (1, 3, 4) else 0.0))
+        directions.append(size * np.eye(10)[4 + k])
+    return directions
+
+
+def _second(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(Ixx, Ixy, Iyy, Ixz, Iyz, Izz) of -[a]x [b]x, symmetric part."""
+    full = float(a @ b) * np.eye(3) - 0.5 * (np.outer(a, b) + np.outer(b, a))
+    return np.array([full[0, 0], full[0, 1], full[1, 1], full[0, 2], full[1, 2], full[2, 2]])

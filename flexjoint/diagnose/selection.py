@@ -1,0 +1,193 @@
+"""Which set of effects explains the recording: scan, fit the best, add, exchange, prune, date.
+
+A set is judged by its energy Q(y, y) plus a price for every effect and every number in it. An effect
+enters only when it earns more than its price, matters by the robot's own torque tolerance, and removes
+more than the method's own error in the balances it touches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flexjoint.diagnose.candidates import Candidate
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.scan import Scanner, Scored
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.effect import Planned
+
+PRICE_EFFECT = 6.0  # log-odds (doubled) against any one effect being there
+PRICE_NUMBER = 4.0  # for each of its numbers; 10 for a one-number effect: about 3 deviations
+METHOD_ERROR = 1e-3  # share of a joint's first excess energy that filters and friction zones may leave
+LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
+POLISHED = 8  # candidates fitted in full at each stage
+MOST_EFFECTS = 6
+ONSET_STEPS = (0.25, 0.1, 0.04, 0.015)  # s, of the search for an onset
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The chosen set with its fit, the first scan, and the alternatives to each chosen effect."""
+
+    best: Fit
+    nothing: Fit  # no effect beyond the nominal model
+    scan: tuple[Scored, ...]  # of the nominal model, best start of each candidate
+    rivals: tuple[tuple[Fit, ...], ...]  # per chosen effect: fits with another in its place, best first
+
+
+def price(effects: Sequence[Planned]) -> float:
+    return sum(
+        PRICE_EFFECT + PRICE_NUMBER * (sum(p.size for p in e.effect.params) + (e.since is not None))
+        for e in effects
+    )
+
+
+def score(result: Fit) -> float:
+    """What is compared: energy plus price."""
+    return result.energy + price(result.effects)
+
+
+def select(
+    workspace: Workspace, candidates: Sequence[Candidate], report: Progress, start: Sequence[Planned] = ()
+) -> Selection:
+    """Forward selection with full refits, exchanges and pruning; `start` seeds the set."""
+    nothing = fit(workspace, [])
+    best = fit(workspace, start) if start else nothing
+    scanner = Scanner(candidates)
+    excess = joint_excess(workspace, nothing.y)
+    first: tuple[Scored, ...] = ()
+    rivals: tuple[tuple[Fit, ...], ...] = ()
+    while len(best.effects) < MOST_EFFECTS:
+        report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
+        scanned = scanner.scan(best)
+        first = first or scanned
+        found = [f for f in polish(best, scanned) if worthwhile(f, best, excess)]
+        if not found:
+            break
+        best = date_onset(choose(found))
+        best, rivals = exchange(scanner, prune(best))
+    if start and not rivals and best.effects:
+        best, rivals = exchange(scanner, prune(best))
+    return Selection(best, nothing, first, rivals)
+
+
+def leftover(result: Fit) -> float:
+    """Energy that is still above the predicted noise."""
+    return max(0.0, result.energy - result.workspace.freedom)
+
+
+def choose(fits: Sequence[Fit]) -> Fit:
+    """The best score; of those that differ by little against what all leave unexplained, the plainest."""
+    best = min(fits, key=score)
+    close = score(best) + LEFTOVER * leftover(best)
+    return min((f for f in fits if score(f) <= close), key=lambda f: (price(f.effects), score(f)))
+
+
+def polish(current: Fit, scanned: Sequence[Scored]) -> list[Fit]:
+    """The most promising candidates fitted together with the current set."""
+    out = []
+    for scored in scanned[:POLISHED]:
+        if scored.removes > 0.0:
+            out.append(fit(current.workspace, [*current.effects, scored.planned()]))
+    return out
+
+
+def worthwhile(trial: Fit, current: Fit, excess: np.ndarray) -> bool:
+    """Whether the last effect of `trial` earns its price, is material and beyond the method's error."""
+    added, workspace = trial.effects[-1], trial.workspace
+    if score(trial) >= score(current) - LEFTOVER * leftover(trial):
+        return False
+    if added.joint is not None:
+        i = workspace.robot.joint_names.index(added.joint)
+        if current.energy - trial.energy < METHOD_ERROR * excess[i]:
+            return False
+    return torque_share(workspace, trial.effects, len(trial.effects) - 1) >= workspace.robot.tolerance.torque
+
+
+def exchange(scanner: Scanner, result: Fit) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
+    """Try another candidate in the place of each effect; keep what scores better. Returns the rivals too."""
+    rivals: list[tuple[Fit, ...]] = []
+    tried: list[int] = []  # exchanges made; bounded, so that two equals do not alternate for ever
+    k = 0
+    while k < len(result.effects):
+        others = [e for i, e in enumerate(result.effects) if i != k]
+        without = fit(result.workspace, others)
+        fits = []
+        for trial in polish(without, scanner.scan(without)):
+            if trial.effects[-1].key != result.effects[k].key:
+                fits.append(trial)
+        fits.sort(key=score)
+        swapped = choose([result, *fits])
+        if swapped is not result and len(tried) < MOST_EFFECTS:
+            tried.append(k)
+            result, rivals, k = prune(date_onset(swapped)), [], 0
+            continue
+        rivals.append(tuple(fits))
+        k += 1
+    return result, tuple(rivals)
+
+
+def prune(result: Fit) -> Fit:
+    """Drop every effect that has become immaterial or whose absence costs less than its price."""
+    while len(result.effects) > 1:
+        shares = [torque_share(result.workspace, result.effects, k) for k in range(len(result.effects))]
+        weak = [k for k, s in enumerate(shares) if s < result.workspace.robot.tolerance.torque]
+        drops = weak[:1] or range(len(result.effects))
+        without = [
+            fit(result.workspace, [e for k, e in enumerate(result.effects) if k != drop]) for drop in drops
+        ]
+        best = min(without, key=score)
+        if not weak and score(best) > score(result):
+            return result
+        result = best
+    return result
+
+
+def date_onset(result: Fit) -> Fit:
+    """Refine when the last effect set in, or find that it was always there."""
+    added = result.effects[-1]
+    if added.since is None:
+        return result
+    workspace = result.workspace
+    always = fit(workspace, [*result.effects[:-1], replace(added, since=None)])
+    for step in ONSET_STEPS:
+        improved = True
+        while improved:
+            improved = False
+            for sign in (-1.0, 1.0):
+                since = (result.effects[-1].since or 0.0) + sign * step
+                if not 0.0 < since < workspace.balances.chains.t[-1]:
+                    continue
+                trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=since)], 3)
+                if trial.energy < result.energy:
+                    result, improved = trial, True
+    return (
+        always if score(always) < score(result) + 0.01 * max(0.0, always.energy - result.energy) else result
+    )
+
+
+def joint_excess(workspace: Workspace, y: np.ndarray) -> np.ndarray:
+    """(n,) energy above noise in the balances of each joint."""
+    rows = workspace.balances.rows
+    energy = np.sum(workspace.rest(y).reshape(len(rows), -1) ** 2, axis=1)
+    per_joint = np.zeros(len(workspace.robot.joints))
+    for row, value in zip(rows, energy, strict=True):
+        per_joint[row.joint] += value - workspace.time.size
+    return np.maximum(per_joint, 0.0)
+
+
+def torque_share(workspace: Workspace, effects: Sequence[Planned], index: int) -> float:
+    """RMS torque of an effect in the balance that it changes most, as a share of that joint's torque."""
+    without = [e for k, e in enumerate(effects) if k != index]
+    balances, used = workspace.balances, workspace.readings.valid
+    change = balances.change(workspace.with_nominal(without), workspace.with_nominal(effects))
+    shares = [0.0]
+    for row, spectrum in zip(balances.rows, change, strict=True):
+        if np.any(spectrum):
+            torque = balances.time_series(spectrum)[used]
+            shares.append(float(np.sqrt(np.mean(torque**2))) / float(workspace.torque_scale[row.joint]))
+    return max(shares)
