@@ -17,7 +17,8 @@ from flexjoint.effect import Drive, Effect, Signals, Site
 from flexjoint.ops import Value
 from flexjoint.robot import Joint
 
-STEP = 1e-6  # relative step of the difference quotients below; laws are linear or smooth on that scale
+STEP = 1e-4  # relative step of the difference quotients below, whose laws are linear or smooth on that scale
+SMALL = 1e-6  # stands for a decay of 0 in (1 - exp(-x)) / x, whose error there is below 1e-6
 INVERSION_ROUNDS = 8  # of Newton's method in `corrected`; it squares an error of 1e-2 in each
 
 
@@ -39,11 +40,10 @@ class JointFlow:
 
     def __init__(self, joint: Joint, parts: Sequence[Part]) -> None:
         self.joint = joint
-        drive = joint.drive
-        for part in parts:
-            drive = part.effect.edit_drive(drive, part.p)
-        self.drive: Drive = drive
         ordered = sorted(parts, key=lambda part: part.effect.name)
+        self.drive: Drive = joint.drive
+        for part in ordered:
+            self.drive = part.effect.edit_drive(self.drive, part.p)
         self._command = [x for x in ordered if _does(x, Site.COMMAND, "map")]
         self._deflection = [x for x in ordered if _does(x, Site.DEFLECTION, "map", "slope")]
         self._deflection.sort(key=lambda part: part.effect.overrides("slope"))
@@ -58,10 +58,8 @@ class JointFlow:
         self.nonlinear_spring = bool(self._deflection or self._spring)
         self.motor_rubs = bool(self._rubbing)
         self.link_rubs = bool(self._link_rubbing)
-        self.busy = bool(
-            self._command or self._motor or self._link or self.motor_rubs or self.link_rubs or self.stateful
-        )
-        self.busy = self.busy or self.nonlinear_spring
+        acting = self._command or self._motor or self._link or self.stateful or self.nonlinear_spring
+        self.busy = bool(acting) or self.motor_rubs or self.link_rubs  # beyond a linear spring and a motor
 
     # --- command ---------------------------------------------------------------------------------
     def command(self, s: Signals, tau: Value) -> Value:
@@ -93,25 +91,25 @@ class JointFlow:
         internal states as they will be `ahead` seconds on."""
         phi, dphi = s.phi, s.dphi
         self._deflect(s)
-        tau = self._spring_torque(s, z, ahead)
-        s.phi, s.dphi = phi, dphi
-        return tau
-
-    def _spring_torque(self, s: Signals, z: Any, ahead: float) -> Value:
         tau = self.drive.K * s.phi + self.drive.D * s.dphi
         for part in self._spring:
             tau = tau + part.effect.torque(s, part.p, _state(part, s, z, ahead))
+        s.phi, s.dphi = phi, dphi
         return tau
 
     def linear_spring(self, s: Signals, z: Any, ahead: float) -> tuple[Value, Value, Value]:
-        """tau_t with its derivatives by phi and dphi: what the linearly implicit scheme needs."""
+        """`transmission` with its derivatives by phi and dphi: what the linearly implicit scheme needs."""
         phi, dphi = s.phi, s.dphi
         slope = self._deflect(s)
-        tau, stiffness, damping = self._spring_torque(s, z, ahead), self.drive.K, self.drive.D
+        stiffness, damping = self.drive.K, self.drive.D
+        tau = stiffness * s.phi + damping * s.dphi
         for part in self._spring:
             stiffness = stiffness + part.effect.slope(s, part.p)
-            if part.slot >= 0:
-                damping = damping + ops.maximum(_by_velocity(part, s, z, ahead, "dphi")[1], 0.0)
+            if part.slot < 0:
+                tau = tau + part.effect.torque(s, part.p, 0.0)
+            else:
+                torque, by_velocity = _by_velocity(part, s, z, ahead, "dphi")
+                tau, damping = tau + torque, damping + ops.maximum(by_velocity, 0.0)
         s.phi, s.dphi = phi, dphi
         return tau, slope * stiffness, slope * damping
 
@@ -198,7 +196,8 @@ def _does(part: Part, site: Site, *methods: str) -> bool:
 
 
 def _state(part: Part, s: Signals, z: Any, ahead: float) -> Value:
-    """The internal state `ahead` seconds on, linearly implicit in itself: bounded for any rate constant."""
+    """The internal state `ahead` seconds on: its rate, linear in itself, integrated exactly (exponential
+    Euler), so it stays bounded for any rate constant."""
     if part.slot < 0:
         return 0.0
     now = z[part.slot]
@@ -206,14 +205,15 @@ def _state(part: Part, s: Signals, z: Any, ahead: float) -> Value:
         return now
     rate = part.effect.rate(s, part.p, now)
     step = STEP * (1.0 + ops.absolute(now))
-    decay = ops.maximum((rate - part.effect.rate(s, part.p, now + step)) / step, 0.0)
-    return now + ahead * rate / (1.0 + ahead * decay)
+    decay = (rate - part.effect.rate(s, part.p, now + step)) / step
+    x = ops.maximum(ahead * decay, SMALL)
+    return now + ahead * rate * (1.0 - ops.exp(-x)) / x
 
 
 def _by_velocity(part: Part, s: Signals, z: Any, ahead: float, name: str) -> tuple[Value, Value]:
     """A part's torque and its derivative by the named velocity, internal state included."""
     velocity = getattr(s, name)
-    step = STEP * (1.0 + ops.absolute(velocity))
+    step = STEP * ops.where(velocity < 0.0, velocity - 1.0, velocity + 1.0)  # away from the kink at rest
     torque = part.effect.torque(s, part.p, _state(part, s, z, ahead))
     setattr(s, name, velocity + step)
     further = part.effect.torque(s, part.p, _state(part, s, z, ahead))
@@ -221,9 +221,7 @@ def _by_velocity(part: Part, s: Signals, z: Any, ahead: float, name: str) -> tup
     return torque, (further - torque) / step
 
 
-def _resisting(
-    parts: Sequence[Part], s: Signals, z: Any, ahead: float, name: str
-) -> tuple[Value, Value]:
+def _resisting(parts: Sequence[Part], s: Signals, z: Any, ahead: float, name: str) -> tuple[Value, Value]:
     torque, resistance = 0.0, 0.0
     for part in parts:
         more, slope = _by_velocity(part, s, z, ahead, name)

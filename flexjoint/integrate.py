@@ -107,9 +107,7 @@ SCHEMES: Mapping[str, Scheme] = MappingProxyType(
 )
 
 
-def make_step(
-    model: FlexibleJointModel, h: float, scheme: str = DEFAULT, width: float | None = None
-) -> Step:
+def make_step(model: FlexibleJointModel, h: float, scheme: str = DEFAULT, width: float | None = None) -> Step:
     """The step function of a scheme by its name.
 
     Raises UnknownNameError, or SimulationError when a scheme that smooths dry friction gets no width.
@@ -155,7 +153,9 @@ def _growth(model: FlexibleJointModel, x: State, h: float, scheme: str) -> float
     position, velocity = A[n:, :n], A[n:, n:]
     if scheme == "rk4":
         hA = h * A
-        step = np.eye(2 * n) + hA @ (np.eye(2 * n) + hA / 2 @ (np.eye(2 * n) + hA / 3 @ (np.eye(2 * n) + hA / 4)))
+        step = np.eye(2 * n) + hA @ (
+            np.eye(2 * n) + hA / 2 @ (np.eye(2 * n) + hA / 3 @ (np.eye(2 * n) + hA / 4))
+        )
     else:
         lower = np.hstack([h * position, eye + h * velocity])
         new = np.zeros(n) if scheme == "explicit_euler" else np.ones(n)

@@ -13,6 +13,7 @@ that depend on anything else are evaluated at the predicted midpoint (q + a v, v
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -121,31 +122,33 @@ class Midpoint:
                 break
         for j in count:
             acc = acc - columns[j] * force[j]
-            line = lines[self.rubbing[j]]
+        for j in count:
+            line, own = lines[self.rubbing[j]], columns[j][places[j]]
             line.friction, line.link_sticks = force[j], ops.absolute(force[j]) < levels[j]
+            line.link_free, line.link_shed = acc[places[j]] + own * force[j], own * levels[j]
         return acc
 
     def _finish(self, x: State, acc: Value, c0: Value, c1: Value, lines: dict[int, Line]) -> State:
         model, h, a = self.model, self.h, self.a
         v_mid = x.v + a * acc
         v = v_mid + a * acc
+        carried = acc
+        if self.rubbing:
+            acc = _copy(acc)
         for i in self.rubbing:
-            place = model.joints[i].idx_v
-            sticks = lines[i].link_sticks
-            v_mid[place] = ops.where(sticks, 0.0, v_mid[place])
-            v[place] = _at_rest(sticks, v_mid[place], v[place])
-            acc[place] = ops.where(sticks, 0.0, acc[place])
+            place, line = model.joints[i].idx_v, lines[i]
+            v_mid[place] = ops.where(line.link_sticks, 0.0, v_mid[place])
+            v[place], acc[place] = _rubbed(x.v[place], v_mid[place], line.link_free, line.link_shed, h)
         w_mid = c0 + c1 * v_mid[self.of_v]
         w = 2.0 * w_mid - x.dtheta
         ddtheta = (w_mid - x.dtheta) / a
         tau_rigid = _copy(x.tau_rigid)
         for i, k, flow in self.special:
             if k < 0:
-                tau_rigid[model.rigid.index(i)] = lines[i].carried(acc[flow.joint.idx_v])
+                tau_rigid[model.rigid.index(i)] = lines[i].carried(carried[flow.joint.idx_v])
             elif flow.motor_rubs:
-                sticks = lines[i].sticks
-                w[k] = _at_rest(sticks, w_mid[k], w[k])
-                ddtheta[k] = ops.where(sticks, 0.0, ddtheta[k])
+                line = lines[i]
+                w[k], ddtheta[k] = _rubbed(x.dtheta[k], w_mid[k], line.free, line.shed, h)
         z = self._advance(x, v_mid, w_mid) if model.nz else x.z
         q, theta = model.body.integrate(x.q, h * v_mid), x.theta + h * w_mid
         return State(x.t + h, q, v, theta, w, z, acc, ddtheta, tau_rigid)
@@ -169,26 +172,25 @@ class Midpoint:
         return z
 
 
+@dataclass(slots=True)
 class Line:
-    """What a joint with effects contributes to a step: its motor as c0 + c1 v_mid, and the torque and
-    armature on its link."""
+    """What a joint with effects contributes to a step."""
 
-    __slots__ = (
-        "armature", "c0", "c1", "friction", "inertia", "link_sticks", "motor", "motor_level", "level",
-        "signals", "sticks", "tau",
-    )  # fmt: skip
-
-    def __init__(self, signals: Signals, tau: Value, armature: Value) -> None:
-        self.signals, self.tau, self.armature = signals, tau, armature
-        self.c0: Value = 0.0
-        self.c1: Value = 0.0
-        self.sticks: Value = False
-        self.motor: Value = 0.0
-        self.inertia: Value = 0.0
-        self.friction: Value = 0.0
-        self.link_sticks: Value = False
-        self.level: Value = 0.0
-        self.motor_level: Value = 0.0
+    signals: Signals  # at the predicted midpoint
+    tau: Value  # torque and armature on its link
+    armature: Value
+    c0: Value = 0.0  # the motor's midpoint velocity is c0 + c1 v_mid
+    c1: Value = 0.0
+    free: Value = 0.0  # accelerations of the motor: without dry friction, and by its level
+    shed: Value = 0.0
+    friction: Value = 0.0  # of the link, within its level
+    level: Value = 0.0
+    link_sticks: Value = False
+    link_free: Value = 0.0  # accelerations of the link: without its dry friction, and by its level
+    link_shed: Value = 0.0
+    motor: Value = 0.0  # a rigid joint's motor: torque, inertia, dry friction
+    inertia: Value = 0.0
+    motor_level: Value = 0.0
 
     def link_level(self, flow: JointFlow, velocity: Value) -> Value:
         """Bound of the dry friction on the link; a rigid joint's motor rubs there too."""
@@ -219,7 +221,7 @@ def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
     on_motor, resists = flow.motor(s, at.z, a)
     den = drive.B + a * (drive.D_m + resists + kd)
     push = drive.B * w + a * (flow.command(s, s.tau_m) + on_motor + resists * s.dtheta - r)
-    c0, c1, sticks = push / den, a * kd / den, False
+    c0, c1, free, shed = push / den, a * kd / den, 0.0, 0.0
     if flow.motor_rubs:
         wanted = push + a * kd * s.dq  # den times the midpoint velocity that dry friction has to stop
         velocity = s.dtheta
@@ -227,14 +229,13 @@ def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
         level = a * flow.motor_level(s)
         s.dtheta = velocity
         sticks = ops.absolute(wanted) <= level
+        free, shed = (wanted / den - w) / a, level / (a * den)
         c0 = ops.where(sticks, 0.0, (push - ops.where(wanted < 0.0, -level, level)) / den)
         c1 = ops.where(sticks, 0.0, c1)
     kap = kd * (1.0 - c1)
     on_link, link_resists = flow.link(s, at.z, a)
     tau = r + kd * c0 - kap * v + on_link + link_resists * (s.dq - v)
-    line = Line(s, tau, a * (kap + link_resists))
-    line.c0, line.c1, line.sticks = c0, c1, sticks
-    return line
+    return Line(s, tau, a * (kap + link_resists), c0, c1, free, shed)
 
 
 def _rigid(flow: JointFlow, at: _Midway, i: int, a: float) -> Line:
@@ -252,9 +253,6 @@ def _rigid(flow: JointFlow, at: _Midway, i: int, a: float) -> Line:
 
 class _Midway:
     """A state and its predicted midpoint as scalars, and the signals of a joint there."""
-
-    __slots__ = ("ddtheta", "dtheta", "joints", "model", "q", "q_mid", "t", "tau_m", "tau_rigid", "theta",
-                 "v", "v_mid", "z")  # fmt: skip
 
     def __init__(self, model: FlexibleJointModel, x: State, q_mid: Value, v_mid: Value, tau_m: Value) -> None:
         items = model.items
@@ -280,10 +278,21 @@ def _directed(size: Value, direction: Value) -> Value:
     return ops.where(direction < 0.0, -size, size)
 
 
-def _at_rest(sticks: Value, midpoint: Value, end: Value) -> Value:
-    """The velocity after a step with dry friction: 0 where it sticks; where the midpoint rule would turn it
-    round, the midpoint's (a stuck joint would otherwise ring for ever)."""
-    return ops.where(sticks, 0.0, ops.where(midpoint * end < 0.0, midpoint, end))
+def _rubbed(start: Value, midpoint: Value, free: Value, shed: Value, h: float) -> tuple[Value, Value]:
+    """Velocity and acceleration at the end of a step with dry friction, from the velocities at its start
+    and midpoint and the accelerations without friction and by its level alone.
+
+    A motion that comes to rest within the step stays there, or turns and goes on for what is left of it:
+    the midpoint rule alone would ring about rest for ever.
+    """
+    side = ops.where(start < 0.0, -1.0, 1.0)
+    braking = shed - side * free
+    onward = ops.maximum(-side * free - shed, 0.0)
+    speed = ops.absolute(start)
+    rests = ops.both(speed > 0.0, speed < h * braking)
+    left = h - speed / ops.maximum(braking, TINY)
+    end = ops.where(rests, -side * onward * left, 2.0 * midpoint - start)
+    return end, ops.where(rests, -side * onward, (midpoint - start) / (0.5 * h))
 
 
 def _places(indices: list[int]) -> Any:

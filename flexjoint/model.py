@@ -90,9 +90,7 @@ class FlexibleJointModel:
         self._body_kind = body
         self._check()
         awake = [planned for planned in self.effects if planned.since is None or planned.since <= at]
-        self._slots = {
-            planned.key: k for k, planned in enumerate(x for x in self.effects if x.effect.states)
-        }
+        self._slots = {planned.key: k for k, planned in enumerate(x for x in self.effects if x.effect.states)}
         self.flows = tuple(
             JointFlow(joint, [self._part(planned) for planned in awake if planned.joint == joint.name])
             for joint in self.joints
@@ -139,9 +137,7 @@ class FlexibleJointModel:
         for row, values in rows.items():
             for k in range(10):
                 inertial[row, k] = values[k]
-        return self._body_kind(
-            self.robot.model, inertial, None if gravity is None else self.vector(gravity)
-        )
+        return self._body_kind(self.robot.model, inertial, None if gravity is None else self.vector(gravity))
 
     # --- effects in time -------------------------------------------------------------------------
     @cached_property
@@ -155,9 +151,7 @@ class FlexibleJointModel:
         if not self.onsets:
             return ((-math.inf, self),)
         times = (-math.inf, *self.onsets)
-        return tuple(
-            (t, FlexibleJointModel(self.robot, self.effects, self._body_kind, at=t)) for t in times
-        )
+        return tuple((t, FlexibleJointModel(self.robot, self.effects, self._body_kind, at=t)) for t in times)
 
     # --- numbers or expressions ------------------------------------------------------------------
     @property

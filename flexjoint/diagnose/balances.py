@@ -36,11 +36,7 @@ class Row:
 class Balances:
     """All balances of a recording against a robot, as functions of the effects assumed."""
 
-    def __init__(self, motion: Motion, quiet: Balances | None = None) -> None:
-        """`quiet`: the same recording with its positions denoised, from which the columns of the nominal
-        numbers are built. A regression on noisy columns is drawn towards numbers that shrink a balance, and
-        its noise with it (errors in variables; Fuller 1987)."""
-        self.quiet = quiet
+    def __init__(self, motion: Motion) -> None:
         self.motion, self.filter = motion, motion.filter
         self.chains = Chains(motion)
         self.rows: tuple[Row, ...] = tuple(_rows(motion))
@@ -121,6 +117,15 @@ class Balances:
     def inertial_torque(self, i: int, added: np.ndarray) -> np.ndarray:
         """(n, N) torques of a change (10,) of the inertial parameters of joint i's link."""
         return np.einsum("tjk,k->jt", self.motion.rigid.regressor[:, :, 10 * i : 10 * i + 10], added)
+
+
+class TwinBalances(Balances):
+    """Balances of a recording, and (`quiet`) of the same recording with its positions denoised. Columns
+    that carry the residual's own noise would draw a regression towards numbers that shrink a balance."""
+
+    def __init__(self, motion: Motion, quiet: Motion) -> None:
+        super().__init__(motion)
+        self.quiet = Balances(quiet)
 
 
 def _rows(motion: Motion) -> list[Row]:

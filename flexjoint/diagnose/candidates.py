@@ -156,7 +156,7 @@ def _trace(
     origin = {p.name: p.null if listed is None else listed.values[p.name] for p in effect.nulls}
 
     def column(values: Mapping[str, Any]) -> np.ndarray:
-        return workspace.change(base, [*without, candidate.planned(values)])
+        return workspace.moved(base, [*without, candidate.planned(values)])
 
     if given:
         trial = {name: start[name] for name in given}
@@ -202,9 +202,7 @@ def inertial_traces(workspace: Workspace, candidate: Candidate, y: np.ndarray) -
     assert candidate.joint is not None
     effect = candidate.effect
     i = workspace.robot.joint_names.index(candidate.joint)
-    moments = np.stack(
-        [workspace.load_column(workspace.balances.inertial_torque(i, unit)) for unit in np.eye(10)]
-    )
+    moments = np.stack([workspace.inertial_column(i, unit) for unit in np.eye(10)])
     curvature = workspace.product(moments, moments)
     slope = workspace.against(moments, y)
     amplitude = effect.nulls[0]

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint.diagnose.whitening import changes_noise
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Param, Planned
 
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
-INSTRUMENTED_STEPS = 3
 POSITION_SPREAD = 0.5  # m, a weak prior that holds components of a position which the data do not see
 
 
@@ -45,9 +43,9 @@ class Slot:
 class Fit:
     """A fitted set of effects (beyond the nominal model, or replacing its entries)."""
 
-    workspace: Workspace  # whitened under these effects
+    workspace: Workspace
     effects: tuple[Planned, ...]
-    energy: float  # Q(y, y) at the optimum, plus weak priors
+    energy: float  # judged at the optimum, plus weak priors (Workspace.judged_energy)
     y: np.ndarray  # (samples,) whitened residual
     tangents: np.ndarray  # (slots, samples) its derivatives
     slots: tuple[Slot, ...]
@@ -63,17 +61,10 @@ def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
 
 
 def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) -> Fit:
-    """Fit all free numbers, starting from the given values; bounds are kept by clipping. Where the fitted
-    effects change the noise, the residual is whitened anew and the fit continued."""
-    first = _descend(workspace, effects, iterations)
-    again = workspace.under(first.effects)
-    return first if again is workspace else _descend(again, first.effects, max(2, iterations // 3))
-
-
-def _descend(workspace: Workspace, effects: Sequence[Planned], iterations: int) -> Fit:
+    """Fit all free numbers, starting from the given values; bounds are kept by clipping."""
     slots = slots_of(effects)
     current = list(effects)
-    y = workspace.whitened(workspace.with_nominal(current))
+    y = workspace.residual(current)
     if not slots:
         return Fit(
             workspace, tuple(current), workspace.judged_energy(y, current), y, np.zeros((0, y.size)), slots
@@ -84,7 +75,7 @@ def _descend(workspace: Workspace, effects: Sequence[Planned], iterations: int) 
         normal, slope = _normal_equations(workspace, jacobian, y, slots, current)
         while damping < 1e8:
             trial = _step(current, slots, normal, slope, damping)
-            trial_y = workspace.whitened(workspace.with_nominal(trial))
+            trial_y = workspace.residual(trial)
             trial_energy = workspace.energy(trial_y) + _prior(slots, trial)
             if np.isfinite(trial_energy) and trial_energy < energy:
                 break
@@ -97,31 +88,8 @@ def _descend(workspace: Workspace, effects: Sequence[Planned], iterations: int) 
         jacobian = _jacobian(workspace, current, slots)
         if gained < CONVERGED + 1e-6 * energy:
             break
-    current, y, jacobian = _instrumented(workspace, current, y, jacobian, slots)
     energy = workspace.judged_energy(y, current) + _prior(slots, current)
     return Fit(workspace, tuple(_wrap(current)), energy, y, jacobian, slots)
-
-
-def _instrumented(
-    workspace: Workspace, current: list[Planned], y: np.ndarray, jacobian: np.ndarray, slots: Sequence[Slot]
-) -> tuple[list[Planned], np.ndarray, np.ndarray]:
-    """Last steps for effects that change what noise makes of a balance: their columns hold the same noise as
-    the residual, which draws a plain fit towards numbers that shrink it. Columns of the denoised recording
-    serve as instruments (Janot, Vandanjon and Gautier 2014)."""
-    noisy = [changes_noise(current[slot.effect]) for slot in slots]
-    if not any(noisy):
-        return current, y, jacobian
-    for _ in range(INSTRUMENTED_STEPS):
-        base, quiet = workspace.with_nominal(current), jacobian.copy()
-        for k, slot in enumerate(slots):
-            if noisy[k]:
-                moved, step = list(current), step_of(workspace, slot, current)
-                slot.put(moved, slot.get(current) + step)
-                quiet[k] = workspace.quiet_change(base, workspace.with_nominal(moved)) / step
-        normal, slope = _normal_equations(workspace, quiet, y, slots, current)
-        current = _step(current, slots, normal, slope, 1e-9)
-        y = workspace.whitened(workspace.with_nominal(current))
-    return current, y, quiet
 
 
 def _step(
@@ -139,7 +107,6 @@ def _step(
 
 
 def _jacobian(workspace: Workspace, effects: list[Planned], slots: Sequence[Slot]) -> np.ndarray:
-    base = workspace.with_nominal(effects)
     rows = []
     for slot in slots:
         here = slot.get(effects)
@@ -148,7 +115,7 @@ def _jacobian(workspace: Workspace, effects: list[Planned], slots: Sequence[Slot
             step = -step
         moved = list(effects)
         slot.put(moved, here + step)
-        rows.append(workspace.change(base, workspace.with_nominal(moved)) / step)
+        rows.append(workspace.moved(effects, moved) / step)
     return np.array(rows)
 
 

@@ -16,6 +16,7 @@ from flexjoint.effect import Planned
 
 BLOCKS = 32  # time blocks at whose edges an onset is tried
 ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferred
+RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 4e8  # bytes of traces that are remembered between scans
 
 
@@ -110,14 +111,16 @@ class _Against:
         self.edges = edges = np.unique(np.searchsorted(time, even))
         self.starts = workspace.balances.chains.t[0] + time[edges]
         fixed, free = len(workspace.J), len(current.tangents)
-        columns = np.concatenate([workspace.J, current.tangents]) if free else workspace.J
+        length = np.maximum(np.sqrt(np.sum(current.tangents**2, axis=1)), 1e-9)
+        tangents = current.tangents / length[:, None]
+        columns = np.concatenate([workspace.J, tangents]) if free else workspace.J
         gram = np.zeros((fixed + free, fixed + free))
         gram[:fixed, :fixed] = workspace.gram
         if free:
-            gram[fixed:] = current.tangents @ columns.T
+            gram[fixed:] = tangents @ columns.T
             gram[:, fixed:] = gram[fixed:].T
-            # tangents are free; a ridge for rounding only
-            gram[range(fixed, fixed + free), range(fixed, fixed + free)] *= 1.0 + 1e-9
+            # tangents are free; a ridge for rounding, and for numbers without any trace
+            gram[range(fixed, fixed + free), range(fixed, fixed + free)] += RIDGE
         self.factor = cho_factor(gram)
         pull = columns @ current.y
         self.weighted = cho_solve(self.factor, pull)

@@ -20,7 +20,9 @@ from flexjoint.effect import Planned
 
 PRICE_EFFECT = 6.0  # log-odds (doubled) against any one effect being there
 PRICE_NUMBER = 4.0  # for each of its numbers; 10 for a one-number effect: about 3 deviations
-METHOD_ERROR = 1e-3  # share of a joint's first excess energy that filters and friction zones may leave
+METHOD_ERROR = (
+    1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
+)
 LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
 POLISHED = 8  # candidates fitted in full at each stage
 MOST_EFFECTS = 6
@@ -58,14 +60,13 @@ def select(
     nothing = fit(workspace, [])
     best = fit(workspace, start) if start else nothing
     scanner = Scanner(candidates)
-    excess = joint_excess(workspace, nothing.y)
     first: tuple[Scored, ...] = ()
     rivals: tuple[tuple[Fit, ...], ...] = ()
     while len(best.effects) < MOST_EFFECTS:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         scanned = scanner.scan(best)
         first = first or scanned
-        found = [f for f in polish(best, scanned) if worthwhile(f, best, excess)]
+        found = [f for f in polish(best, scanned) if worthwhile(f, best, f.effects[-1])]
         if not found:
             break
         best = date_onset(choose(found))
@@ -96,16 +97,18 @@ def polish(current: Fit, scanned: Sequence[Scored]) -> list[Fit]:
     return out
 
 
-def worthwhile(trial: Fit, current: Fit, excess: np.ndarray) -> bool:
-    """Whether the last effect of `trial` earns its price, is material and beyond the method's error."""
-    added, workspace = trial.effects[-1], trial.workspace
-    if score(trial) >= score(current) - LEFTOVER * leftover(trial):
+def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
+    """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error."""
+    if score(trial) >= score(without) - LEFTOVER * leftover(trial):
         return False
-    if added.joint is not None:
-        i = workspace.robot.joint_names.index(added.joint)
-        if current.energy - trial.energy < METHOD_ERROR * excess[i]:
+    beside = [e for e in trial.effects if e is not added and e.joint == added.joint]
+    if beside:
+        # what other causes on the joint explain is known only to the method's own error
+        alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
+        if without.energy - trial.energy < METHOD_ERROR * (alone.energy - trial.energy):
             return False
-    return torque_share(workspace, trial.effects, len(trial.effects) - 1) >= workspace.robot.tolerance.torque
+    share = torque_share(trial.workspace, trial.effects, trial.effects.index(added))
+    return share >= trial.workspace.robot.tolerance.torque
 
 
 def exchange(scanner: Scanner, result: Fit) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
@@ -132,18 +135,18 @@ def exchange(scanner: Scanner, result: Fit) -> tuple[Fit, tuple[tuple[Fit, ...],
 
 
 def prune(result: Fit) -> Fit:
-    """Drop every effect that has become immaterial or whose absence costs less than its price."""
+    """Drop, one by one, the effects that are not worth keeping beside the others."""
     while len(result.effects) > 1:
-        shares = [torque_share(result.workspace, result.effects, k) for k in range(len(result.effects))]
-        weak = [k for k, s in enumerate(shares) if s < result.workspace.robot.tolerance.torque]
-        drops = weak[:1] or range(len(result.effects))
-        without = [
-            fit(result.workspace, [e for k, e in enumerate(result.effects) if k != drop]) for drop in drops
-        ]
-        best = min(without, key=score)
-        if not weak and score(best) > score(result):
+        cheapest: Fit | None = None
+        for dropped in result.effects:
+            without = fit(result.workspace, [e for e in result.effects if e is not dropped])
+            if not worthwhile(result, without, dropped) and (
+                cheapest is None or score(without) < score(cheapest)
+            ):
+                cheapest = without
+        if cheapest is None:
             return result
-        result = best
+        result = cheapest
     return result
 
 
@@ -168,16 +171,6 @@ def date_onset(result: Fit) -> Fit:
     return (
         always if score(always) < score(result) + 0.01 * max(0.0, always.energy - result.energy) else result
     )
-
-
-def joint_excess(workspace: Workspace, y: np.ndarray) -> np.ndarray:
-    """(n,) energy above noise in the balances of each joint."""
-    rows = workspace.balances.rows
-    energy = np.sum(workspace.rest(y).reshape(len(rows), -1) ** 2, axis=1)
-    per_joint = np.zeros(len(workspace.robot.joints))
-    for row, value in zip(rows, energy, strict=True):
-        per_joint[row.joint] += value - workspace.time.size
-    return np.maximum(per_joint, 0.0)
 
 
 def torque_share(workspace: Workspace, effects: Sequence[Planned], index: int) -> float:

@@ -14,8 +14,10 @@ from scipy import fft
 from scipy.interpolate import Akima1DInterpolator, CubicSpline
 from scipy.signal import welch
 
+from flexjoint.clock import on_regular_clock
 from flexjoint.diagnose.command import torque_source
 from flexjoint.errors import RecordingError
+from flexjoint.noise import white_noise
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
@@ -23,6 +25,7 @@ FILTER_SECONDS = 0.004  # standard deviation of the Gaussian window, at least ..
 FILTER_SAMPLES = 2.0  # ... this many samples, below which its sampled kernel aliases
 EDGE_SIGMAS = 8.0  # samples this close to an edge or gap are not used
 WELCH_SEGMENT = 1024  # samples, of the spectrum from which noise is told from motion
+TICK_SLACK = 0.2  # of a control period by which a stamp may precede its tick
 LONGEST_BRIDGE = 4  # missing samples in a row that are interpolated and used
 
 
@@ -56,6 +59,7 @@ def prepare(robot: Robot, recording: Recording) -> Readings:
 
     Raises RecordingError when no joint of the robot has a usable position channel.
     """
+    recording = on_regular_clock(recording)
     period = recording.period
     count = int(np.floor(recording.duration / period + 1e-6)) + 1
     time = recording.time[0] + period * np.arange(count)
@@ -71,7 +75,7 @@ def prepare(robot: Robot, recording: Recording) -> Readings:
             samples = recording.get(channel, joint.name)
             channels[channel][row], good = _evenly(recording.time, samples, time)
             valid &= good
-            noise[channel][row] = noise_of(samples)
+            noise[channel][row] = white_noise(samples)
         source = torque_source(robot, recording, joint)
         if source is None:
             continue
@@ -116,7 +120,7 @@ def _torque(
     t, x = time[present], samples[present]
     period = grid[1] - grid[0]
     if held:
-        t = np.floor(t * rate + 1e-6) / rate + 0.5 / rate
+        t = np.floor(t * rate + TICK_SLACK) / rate + 0.5 / rate
     after = np.searchsorted(t, grid, side="right").clip(1, t.size - 1)
     good = (t[after] - t[after - 1]) <= (LONGEST_BRIDGE + 1.5) * period
     # local cubics: exact to higher order than lines on a smooth command, no ringing at a jump
@@ -124,30 +128,10 @@ def _torque(
     return values, good
 
 
-def noise_of(samples: np.ndarray) -> float:
-    """Standard deviation of the white part of a signal, from its fourth differences, which no smooth
-    motion survives; never below what its quantisation alone makes (step / sqrt(12)).
-
-    Robust: the median of absolute fourth differences, so that rare jerks do not count as noise.
-    """
-    x = samples[np.isfinite(samples)]
-    if x.size < 16:
-        return 0.0
-    fourth = np.diff(x, 4)
-    # var of the fourth difference of white noise is 1 + 16 + 36 + 16 + 1 = 70 times its variance
-    spread = float(np.sqrt(np.mean(fourth**2) / 70.0))
-    robust = float(np.median(np.abs(fourth)) / 0.6745 / np.sqrt(70.0))
-    steps = np.abs(np.diff(x))
-    steps = steps[steps > 0]
-    quantum = float(np.min(steps)) if steps.size else 0.0
-    exact = steps.size and np.allclose(np.round(steps / quantum), steps / quantum, atol=1e-3)
-    return max(min(spread, robust) if robust > 0 else spread, quantum / np.sqrt(12.0) if exact else 0.0)
-
-
 def _torque_noise(samples: np.ndarray, held: bool, period: float, rate: float) -> float:
     """Noise of the torque signal. A command is known exactly where it was recorded; of the ticks between
     records only the linear interpolation is known, whose error has the variance of 1.5 ticks."""
-    white = noise_of(samples)
+    white = white_noise(samples)
     if not held:
         return white
     ticks = max(1.0, period * rate)
@@ -165,26 +149,30 @@ def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
 def denoised(readings: Readings) -> Readings:
     """The readings with their positions passed through a Wiener filter: each frequency is kept to the share
     of its power that is not the predicted white noise."""
-    window = make_filter(readings.time.size, readings.period, readings.sigma)
     clean = {}
     for name in ("q", "theta"):
         signals = getattr(readings, name).copy()
         for i, x in enumerate(signals):
             if np.isfinite(x[0]):
-                signals[i] = window.shaped(x, _wiener(x, readings.noise[name][i], readings.period, window))
+                signals[i] = _wiener(x, readings.noise[name][i], readings.period)
         clean[name] = signals
     return replace(readings, **clean)
 
 
-def _wiener(x: np.ndarray, noise: float, period: float, window: Filter) -> np.ndarray:
+def _wiener(x: np.ndarray, noise: float, period: float) -> np.ndarray:
     segment = min(x.size, WELCH_SEGMENT)
     frequency, power = welch(x, 1.0 / period, nperseg=segment, detrend="linear")
     floor = 2.0 * noise**2 * period  # one-sided density of white noise
-    share = np.clip(1.0 - floor / np.maximum(power, 1e-300), 0.0, 1.0)
-    # what lies under the noise by less than chance could be noise alone: a factor of two to be sure
-    share = np.where(power > 2.0 * floor, share, 0.0)
+    # power within a factor of two of the noise could be noise by chance
+    share = np.where(power > 2.0 * floor, 1.0 - floor / np.maximum(power, 1e-300), 0.0)
     share[frequency < 2.0 / (segment * period)] = 1.0
-    return np.interp(window.omega, 2.0 * np.pi * frequency, share)
+    # both ends are continued by odd reflection, so that value and slope go on smoothly
+    reach = min(x.size - 1, 2 * segment)
+    ahead, behind = 2.0 * x[0] - x[reach:0:-1], 2.0 * x[-1] - x[-2 : -reach - 2 : -1]
+    longer = np.concatenate([ahead, x, behind])
+    window = make_filter(longer.size, period, FILTER_SAMPLES * period)
+    gain = np.interp(window.omega, 2.0 * np.pi * frequency, share)
+    return fft.irfft(window.spectrum(longer) * gain, window.size)[reach : reach + x.size]
 
 
 @dataclass(frozen=True)
@@ -214,10 +202,6 @@ class Filter:
         """The same with a share of the window's variance: shares that add up to 1 make the whole window."""
         shaped = self.spectrum(x) * self.gain**share * (1j * self.omega) ** order
         return fft.irfft(shaped, self.size, axis=-1)[..., : self.count]
-
-    def shaped(self, x: np.ndarray, gain: np.ndarray) -> np.ndarray:
-        """(..., N) -> (..., N): filtered with any zero-phase gain (F,)."""
-        return fft.irfft(self.spectrum(x) * gain, self.size, axis=-1)[..., : self.count]
 
 
 def make_filter(count: int, period: float, sigma: float) -> Filter:

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnose import whitening
-from flexjoint.diagnose.balances import Balances
-from flexjoint.diagnose.chain import identity
+from flexjoint.diagnose.balances import TwinBalances
 from flexjoint.diagnose.motion import reconstruct
 from flexjoint.diagnose.nuisance import NUMBERS, Columns, as_effects
 from flexjoint.diagnose.signals import denoised, prepare
@@ -24,56 +23,61 @@ from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
-WORKSPACES = 6  # remembered at a time
 
 
 class Workspace:
     """Whitened residuals and their inner products with the nominal model's tolerances marginalised."""
 
-    def __init__(self, balances: Balances, assumed: Sequence[Planned] = ()) -> None:
-        """`assumed`: effects already found, under which the noise is predicted."""
+    def __init__(self, balances: TwinBalances) -> None:
         self.balances = balances
-        self.assumed = tuple(assumed)
-        self._others: dict[object, Workspace] = {}
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.readings = self.motion.readings
         self.torque_scale = self._torque_scale()
         rows = self.balances.rows
         scale = np.array([self.torque_scale[r.joint] for r in rows])
-        self.whitening = whitening.make(balances, scale, assumed)
+        self.whitening = whitening.make(balances, scale, ())
         self.time = self.whitening.time
         self.samples = self.time.size * len(rows)
         self.freedom = self.time.size * self.whitening.freedom
         self.nominal = tuple(self.robot.effects)
         self._signals: dict[str | None, Signals] = {}
-        self._columns = Columns(balances.quiet or balances, self.whitening)
+        self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self.J = self._columns.nuisance, self._columns.matrix
         self.gram = self.J @ self.J.T + np.eye(len(self.J))
         self._gram = cho_factor(self.gram)
-
-    def under(self, effects: Sequence[Planned]) -> Workspace:
-        """The workspace whose noise is predicted under these effects: larger inertia, stiffness or sensor gain
-        turn the same sensor noise into more torque; without this, a model could win by shrinking."""
-        relevant = tuple(e for e in effects if whitening.changes_noise(e))
-        if [identity(e) for e in relevant] == [identity(e) for e in self.assumed]:
-            return self
-        key = tuple(identity(e) for e in relevant)
-        if key not in self._others:
-            if len(self._others) >= WORKSPACES:
-                self._others.clear()
-            other = Workspace(self.balances, relevant)
-            other._others = self._others
-            self._others[key] = other
-        return self._others[key]
 
     # ------------------------------------------------------------------ residuals
     def whitened(self, effects: Sequence[Planned]) -> np.ndarray:
         """(samples,) whitened residual with exactly these effects (nominal ones included) at work."""
         return self.whitening.apply(self.balances.residual(effects)).ravel()
 
-    def change(self, base: Sequence[Planned], effects: Sequence[Planned]) -> np.ndarray:
-        """(samples,) whitened residual of `effects` minus that of `base`; only rows that differ cost."""
-        return self.whitening.apply(self.balances.change(base, effects)).ravel()
+    def residual(self, extra: Sequence[Planned]) -> np.ndarray:
+        """(samples,) whitened residual with these effects beyond (or instead of) the nominal model's.
+
+        Effects that change what noise makes of a balance (an inertia, a stiffness, a gain) enter through
+        their trace on the denoised recording: a fit must not be drawn towards numbers that shrink a
+        balance, and its noise with it (errors in variables; Fuller 1987)."""
+        every, loud = self.with_nominal(extra), self._loud(extra)
+        y = self.whitened(loud)
+        return y if len(loud) == len(every) else y + self._quiet_change(loud, every)
+
+    def moved(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
+        """(samples,) residual(other) - residual(extra), at the cost of the joints that differ."""
+        a, b = self._loud(extra), self._loud(other)
+        change = self.whitening.apply(self.balances.change(a, b)).ravel()
+        every_a, every_b = self.with_nominal(extra), self.with_nominal(other)
+        if len(a) < len(every_a) or len(b) < len(every_b):
+            change = change + self._quiet_change(every_a, every_b) - self._quiet_change(a, b)
+        return change
+
+    def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
+        """The effects that are evaluated on the recording as it is, noise included."""
+        kept = [e for e in extra if not whitening.changes_noise(e)]
+        replaced = {e.key for e in extra}
+        return [e for e in self.nominal if e.key not in replaced or whitening.changes_noise(e)] + kept
+
+    def _quiet_change(self, base: Sequence[Planned], effects: Sequence[Planned]) -> np.ndarray:
+        return self.whitening.apply(self.balances.quiet.change(base, effects)).ravel()
 
     def with_nominal(self, extra: Sequence[Planned]) -> list[Planned]:
         """The nominal model's effects with these added; one that it lists already is replaced."""
@@ -87,10 +91,11 @@ class Workspace:
         return float(y @ y - pull @ cho_solve(self._gram, pull))
 
     def judged_energy(self, y: np.ndarray, effects: Sequence[Planned]) -> float:
-        """Q(y, y), whitened for the noise at the nominal numbers that it implies when these lie far off: a
-        model must not win by numbers that shrink a balance, and its noise with it."""
+        """Q(y, y), evaluated in full (noise and all) and whitened for the noise of the model that it implies,
+        where that is another than the nominal one's."""
         pull = self.deviations(y)
-        if np.max(np.abs(pull), initial=0.0) < FAR_OFF:
+        near = np.max(np.abs(pull), initial=0.0) < FAR_OFF
+        if near and not any(whitening.changes_noise(e) for e in effects):
             return self.energy(y)
         shifted = as_effects(self.nuisance, -pull, self.motion.rigid.inertial, self.robot)
         held = [*self.with_nominal(effects), *shifted]
@@ -104,11 +109,6 @@ class Workspace:
     def _linear_part(self, pull: np.ndarray) -> np.ndarray:
         other = [k for k, n in enumerate(self.nuisance) if n.name not in NUMBERS and n.name != "inertial"]
         return pull[other] @ self.J[other] if other else np.zeros(self.samples)
-
-    def quiet_change(self, base: Sequence[Planned], effects: Sequence[Planned]) -> np.ndarray:
-        """`change` on the denoised recording."""
-        quiet = self.balances.quiet or self.balances
-        return self.whitening.apply(quiet.change(base, effects)).ravel()
 
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Q between columns a (k, samples) and b (l, samples): (k, l)."""
@@ -169,14 +169,15 @@ class Workspace:
         drive = np.sqrt(np.mean(np.where(np.isfinite(torque), torque, 0.0) ** 2, axis=1))
         return np.maximum(np.maximum(load, drive), 1e-6)
 
-    def load_column(self, torque: np.ndarray) -> np.ndarray:
-        """(samples,) whitened trace of a change (n, N) of the rigid-body torques."""
-        return self._columns.load_column(torque)
+    def inertial_column(self, i: int, change: np.ndarray) -> np.ndarray:
+        """(samples,) whitened trace of a change (10,) of the inertial parameters of joint i's link."""
+        return self._columns.load_column(self.balances.quiet.inertial_torque(i, change))
 
 
-def balances_of(robot: Robot, recording: Recording) -> Balances:
+def balances_of(robot: Robot, recording: Recording) -> TwinBalances:
     """The balances of a recording against a robot, with a denoised twin; RecordingError when the
     sensors do not allow any."""
     readings = prepare(robot, recording)
-    quiet = Balances(reconstruct(robot, denoised(readings), recording))
-    return Balances(reconstruct(robot, readings, recording), quiet)
+    return TwinBalances(
+        reconstruct(robot, readings, recording), reconstruct(robot, denoised(readings), recording)
+    )

@@ -1,0 +1,32 @@
+"""Noise of a sensor, predicted from its own samples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def white_noise(samples: np.ndarray) -> float:
+    """Standard deviation of the white part of a signal, from its fourth differences, which no smooth
+    motion survives; never below what its quantisation alone makes (step / sqrt(12)).
+
+    Robust: also from the median of absolute fourth differences, so that rare jerks do not count as noise.
+    """
+    x = samples[np.isfinite(samples)]
+    if x.size < 16:
+        return 0.0
+    fourth = np.diff(x, 4)
+    # the variance of the fourth difference of white noise is 1 + 16 + 36 + 16 + 1 = 70 times its own
+    spread = float(np.sqrt(np.mean(fourth**2) / 70.0))
+    robust = float(np.median(np.abs(fourth)) / 0.6745 / np.sqrt(70.0))
+    return max(min(spread, robust) if robust > 0 else spread, _quantum(x) / np.sqrt(12.0))
+
+
+def _quantum(x: np.ndarray) -> float:
+    """The step of a quantised signal, or 0."""
+    steps = np.abs(np.diff(x))
+    steps = steps[steps > 1e-12 * np.max(np.abs(x), initial=1e-300)]
+    if not steps.size:
+        return 0.0
+    quantum = float(np.min(steps))
+    multiples = steps / quantum
+    return quantum if np.allclose(multiples, np.round(multiples), atol=1e-2) else 0.0
