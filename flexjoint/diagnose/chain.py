@@ -241,6 +241,9 @@ class Chains:
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
         """
         level = np.zeros_like(speed)
+        # what a level does below the speed that the data resolve is not known: it is held there
+        resolved = np.where(speed < 0.0, -1.0, 1.0) * np.maximum(np.abs(speed), REST_SPEED)
+        signals = replace(signals, dtheta=resolved, dq=resolved)
         for e in effects:
             value = e.effect.level(signals, e.p) * np.ones_like(speed)
             level = level + self._since(e, value, np.zeros_like(value))

@@ -169,7 +169,8 @@ def covariance(result: Fit, blocks: np.ndarray) -> np.ndarray:
     normal, _ = _normal_equations(workspace, result.tangents, result.y, result.slots, result.effects)
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     bread = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
-    projected, residual = workspace.project(result.tangents), workspace.rest(result.y)
+    projected = workspace.project(result.tangents) * workspace.weights
+    residual = workspace.rest(result.y) * workspace.weights
     count = int(blocks.max()) + 1
     scores = np.stack([np.bincount(blocks, weights=row * residual, minlength=count) for row in projected])
     meat = scores @ scores.T * (count / max(1, count - k))

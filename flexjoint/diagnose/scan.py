@@ -11,7 +11,6 @@ from scipy.linalg import cho_factor, cho_solve
 from flexjoint.diagnose.candidates import Candidate, Trace, traces
 from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.fit import Fit
-from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Planned
 
 BLOCKS = 32  # time blocks at whose edges an onset is tried
@@ -42,15 +41,12 @@ class Scanner:
 
     def __init__(self, candidates: Sequence[Candidate]) -> None:
         self.candidates = candidates
-        self._workspace: Workspace | None = None
         self._traces: dict[object, list[Trace]] = {}
         self._bytes = 0
 
     def scan(self, current: Fit) -> tuple[Scored, ...]:
         """Best start of every candidate on top of a fitted set, best first."""
         workspace = current.workspace
-        if workspace is not self._workspace:  # whitened otherwise: no trace can be kept
-            self._workspace, self._traces, self._bytes = workspace, {}, 0
         base = workspace.with_nominal(current.effects)
         taken = {e.key for e in current.effects}
         against = _Against(current)
@@ -111,9 +107,10 @@ class _Against:
         self.edges = edges = np.unique(np.searchsorted(time, even))
         self.starts = workspace.balances.chains.t[0] + time[edges]
         fixed, free = len(workspace.J), len(current.tangents)
-        length = np.maximum(np.sqrt(np.sum(current.tangents**2, axis=1)), 1e-9)
-        tangents = current.tangents / length[:, None]
-        columns = np.concatenate([workspace.J, tangents]) if free else workspace.J
+        tangents = current.tangents * workspace.weights
+        tangents = tangents / np.maximum(np.sqrt(np.sum(tangents**2, axis=1)), 1e-9)[:, None]
+        columns = np.concatenate([workspace.weighted, tangents]) if free else workspace.weighted
+        y = current.y * workspace.weights
         gram = np.zeros((fixed + free, fixed + free))
         gram[:fixed, :fixed] = workspace.gram
         if free:
@@ -122,18 +119,19 @@ class _Against:
             # tangents are free; a ridge for rounding, and for numbers without any trace
             gram[range(fixed, fixed + free), range(fixed, fixed + free)] += RIDGE
         self.factor = cho_factor(gram)
-        pull = columns @ current.y
+        pull = columns @ y
         self.weighted = cho_solve(self.factor, pull)
+        self.weights = workspace.weights.reshape(self.rows, -1)
         ends = [*edges[1:], workspace.time.size]
         self.slices = [slice(a, b) for a, b in zip(edges, ends, strict=True)]
         split = columns.reshape(len(columns), self.rows, -1)
         self.columns = [np.ascontiguousarray(split[:, :, s].reshape(len(columns), -1)) for s in self.slices]
-        self.y = current.y.reshape(self.rows, -1)
+        self.y = y.reshape(self.rows, -1)
 
     def tails(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Projected curvature and force of columns that are switched on at each block's start."""
         k = len(columns)
-        split = columns.reshape(k, self.rows, -1)
+        split = columns.reshape(k, self.rows, -1) * self.weights
         own = np.einsum("arx,brx->abx", split, split, optimize=True)
         own = np.add.reduceat(own, self.edges, axis=-1).transpose(2, 0, 1)
         with_y = np.add.reduceat(np.sum(split * self.y, axis=1), self.edges, axis=-1).T

@@ -25,7 +25,9 @@ METHOD_ERROR = (
 )
 LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
 POLISHED = 8  # candidates fitted in full at each stage
-MOST_EFFECTS = 6
+MOST_EFFECTS = 12
+MOST_EXCHANGES = 4
+LEVEL_ROUNDS = 5
 ONSET_STEPS = (0.25, 0.1, 0.04, 0.015)  # s, of the search for an onset
 
 Progress = Callable[[float, str], None]
@@ -57,8 +59,8 @@ def select(
     workspace: Workspace, candidates: Sequence[Candidate], report: Progress, start: Sequence[Planned] = ()
 ) -> Selection:
     """Forward selection with full refits, exchanges and pruning; `start` seeds the set."""
-    nothing = fit(workspace, [])
-    best = fit(workspace, start) if start else nothing
+    nothing = at_own_level(fit(workspace, []))
+    best = at_own_level(fit(workspace, start)) if start else nothing
     scanner = Scanner(candidates)
     first: tuple[Scored, ...] = ()
     rivals: tuple[tuple[Fit, ...], ...] = ()
@@ -69,16 +71,30 @@ def select(
         found = [f for f in polish(best, scanned) if worthwhile(f, best, f.effects[-1])]
         if not found:
             break
-        best = date_onset(choose(found))
-        best, rivals = exchange(scanner, prune(best))
-    if start and not rivals and best.effects:
-        best, rivals = exchange(scanner, prune(best))
+        best = prune(at_own_level(date_onset(choose(found))))
+        newest = best.effects[-1]
+        best, _ = exchange(
+            scanner, best, [e for e in best.effects if e.joint == newest.joint and e is not newest]
+        )
+    report(0.9, "comparing rival causes")
+    best, rivals = exchange(scanner, best, best.effects)
     return Selection(best, nothing, first, rivals)
+
+
+def at_own_level(result: Fit) -> Fit:
+    """The fit again, judged against the variance that it leaves itself."""
+    for _ in range(LEVEL_ROUNDS):
+        workspace = result.workspace.tempered(result.y)
+        settled = np.all(np.abs(np.log(workspace.temper / result.workspace.temper)) < 0.1)
+        result = fit(workspace, result.effects)
+        if settled:
+            break
+    return result
 
 
 def leftover(result: Fit) -> float:
     """Energy that is still above the predicted noise."""
-    return max(0.0, result.energy - result.workspace.freedom)
+    return max(0.0, result.energy - result.workspace.noise_energy)
 
 
 def choose(fits: Sequence[Fit]) -> Fit:
@@ -111,27 +127,29 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     return share >= trial.workspace.robot.tolerance.torque
 
 
-def exchange(scanner: Scanner, result: Fit) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
-    """Try another candidate in the place of each effect; keep what scores better. Returns the rivals too."""
-    rivals: list[tuple[Fit, ...]] = []
-    tried: list[int] = []  # exchanges made; bounded, so that two equals do not alternate for ever
-    k = 0
-    while k < len(result.effects):
-        others = [e for i, e in enumerate(result.effects) if i != k]
-        without = fit(result.workspace, others)
-        fits = []
-        for trial in polish(without, scanner.scan(without)):
-            if trial.effects[-1].key != result.effects[k].key:
-                fits.append(trial)
-        fits.sort(key=score)
-        swapped = choose([result, *fits])
-        if swapped is not result and len(tried) < MOST_EFFECTS:
-            tried.append(k)
-            result, rivals, k = prune(date_onset(swapped)), [], 0
+def exchange(
+    scanner: Scanner, result: Fit, places: Sequence[Planned]
+) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
+    """Try other candidates in the place of some effects; keep what scores better. Also returns, for every
+    effect that stays, the fits with a rival in its place, best first."""
+    rivals: dict[tuple[str, str | None], tuple[Fit, ...]] = {}
+    waiting = [e.key for e in places]
+    exchanges = 0  # bounded, so that two equals do not alternate for ever
+    while waiting:
+        key = waiting.pop(0)
+        others = [e for e in result.effects if e.key != key]
+        if len(others) == len(result.effects):
             continue
-        rivals.append(tuple(fits))
-        k += 1
-    return result, tuple(rivals)
+        without = fit(result.workspace, others)
+        fits = [f for f in polish(without, scanner.scan(without)) if f.effects[-1].key != key]
+        swapped = choose([result, *fits])
+        if swapped is not result and exchanges < MOST_EXCHANGES:
+            exchanges += 1
+            result = prune(at_own_level(date_onset(swapped)))
+            waiting = [e.key for e in result.effects]
+            continue
+        rivals[key] = tuple(sorted(fits, key=score))
+    return result, tuple(rivals.get(e.key, ()) for e in result.effects)
 
 
 def prune(result: Fit) -> Fit:

@@ -184,13 +184,13 @@ class Filter:
     size: int  # padded length
     omega: np.ndarray  # (F,) rad/s
     gain: np.ndarray  # (F,)
+    ramp: np.ndarray  # (padding,) from 0 to 1
 
     def spectrum(self, x: np.ndarray) -> np.ndarray:
         """(..., N) -> (..., F): the unfiltered spectrum; padded so that the ends meet smoothly."""
         pad = self.size - self.count
         if pad:
-            ramp = np.linspace(0.0, 1.0, pad + 2)[1:-1]
-            ends = x[..., -1:] * (1.0 - ramp) + x[..., :1] * ramp
+            ends = x[..., -1:] * (1.0 - self.ramp) + x[..., :1] * self.ramp
             x = np.concatenate([x, ends], axis=-1)
         return fft.rfft(x, axis=-1)
 
@@ -207,4 +207,5 @@ class Filter:
 def make_filter(count: int, period: float, sigma: float) -> Filter:
     size = fft.next_fast_len(count + int(20 * sigma / period), real=True)
     omega = 2.0 * np.pi * fft.rfftfreq(size, period)
-    return Filter(count, period, size, omega, np.exp(-0.5 * np.minimum((omega * sigma) ** 2, 600.0)))
+    gain = np.exp(-0.5 * np.minimum((omega * sigma) ** 2, 600.0))
+    return Filter(count, period, size, omega, gain, np.linspace(0.0, 1.0, size - count + 2)[1:-1])

@@ -21,6 +21,7 @@ from flexjoint.effect import Drive, Planned, Signals, Site
 from flexjoint.robot import Joint
 
 CUT_GAIN = 0.25  # the band ends where the Gaussian filter passes this share
+ROUNDING = 1e-11
 UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
 FLOOR = 6e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
 
@@ -62,6 +63,8 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     rows = range(len(balances.rows))
     # the numerical floor is white: spread over the whole sampled band like any sensor's noise
     spectrum[:, rows, rows] += (FLOOR * torque_scale) ** 2
+    own = np.einsum("faa->fa", spectrum).real
+    spectrum[:, rows, rows] += ROUNDING * own  # balances that share one noise are nearly dependent
     factor = np.linalg.cholesky(spectrum)
     matrix = np.linalg.inv(factor)
     edge = int(0.85 * band)

@@ -8,6 +8,7 @@ so that what the tolerances can explain is explained first, and only what they c
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,6 +23,10 @@ from flexjoint.effect import Planned, Signals
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
+PLAUSIBLE = 5.0  # prior deviations up to which a nominal number may be off before a cause must be sought
+NOISY = 3.0  # temper above which sensor noise no longer decides anything
+TEMPER_ROUNDS = 12
+FEWEST = 100  # independent samples that a recording is credited with at least
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
 
 
@@ -43,8 +48,48 @@ class Workspace:
         self._signals: dict[str | None, Signals] = {}
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self.J = self._columns.nuisance, self._columns.matrix
-        self.gram = self.J @ self.J.T + np.eye(len(self.J))
+        self.temper = np.ones(len(rows))
+        self._weigh()
+
+    def _weigh(self) -> None:
+        self.weights = np.repeat(1.0 / np.sqrt(self.temper), self.time.size)
+        self.weighted = self.J * self.weights
+        self.gram = self.weighted @ self.weighted.T + np.eye(len(self.J))
         self._gram = cho_factor(self.gram)
+
+    def at(self, temper: np.ndarray) -> Workspace:
+        """The same workspace with each balance's variance taken as `temper` (rows,) times the predicted
+        noise: for comparing models of which none is complete."""
+        other = copy.copy(self)
+        other.temper = temper
+        other._weigh()
+        return other
+
+    def tempered(self, y: np.ndarray) -> Workspace:
+        """The workspace at the variances that a residual y shows once the nominal numbers have explained
+        what they plausibly can; correlated leftovers count as the few independent samples they are."""
+        here = self.at(np.ones_like(self.temper))
+        for _ in range(TEMPER_ROUNDS):
+            levels = here._levels(y)
+            if np.all(levels <= 1.02 * here.temper):
+                break
+            here = here.at(np.maximum(levels, here.temper))
+        while np.max(np.abs(here.deviations(y)), initial=0.0) > PLAUSIBLE and here.temper[0] < 1e15:
+            here = here.at(2.0 * here.temper)
+        return here.at(np.maximum(here.temper, here._levels(y)))
+
+    def _levels(self, y: np.ndarray) -> np.ndarray:
+        """(rows,) variance of what the nominal numbers leave of y, times its correlation time in samples;
+        at least 1."""
+        rest = self.rest(y).reshape(len(self.balances.rows), -1)
+        count = rest.shape[1]
+        spectrum = np.abs(np.fft.rfft(rest, 2 * count, axis=1)) ** 2
+        correlation = np.fft.irfft(spectrum, axis=1)[:, : count // 4]
+        correlation = correlation / np.maximum(correlation[:, :1], 1e-300)
+        past = np.cumsum(correlation < 0.05, axis=1) > 0
+        length = 1.0 + 2.0 * np.sum(np.where(past, 0.0, correlation)[:, 1:], axis=1)
+        # a constant error is one long correlation, and still no accident
+        return np.maximum(1.0, np.mean(rest**2, axis=1) * np.minimum(length, count / FEWEST))
 
     # ------------------------------------------------------------------ residuals
     def whitened(self, effects: Sequence[Planned]) -> np.ndarray:
@@ -87,7 +132,8 @@ class Workspace:
     # ------------------------------------------------------------------ inner products
     def energy(self, y: np.ndarray) -> float:
         """Q(y, y)."""
-        pull = self.J @ y
+        y = y * self.weights
+        pull = self.weighted @ y
         return float(y @ y - pull @ cho_solve(self._gram, pull))
 
     def judged_energy(self, y: np.ndarray, effects: Sequence[Planned]) -> float:
@@ -95,7 +141,8 @@ class Workspace:
         where that is another than the nominal one's."""
         pull = self.deviations(y)
         near = np.max(np.abs(pull), initial=0.0) < FAR_OFF
-        if near and not any(whitening.changes_noise(e) for e in effects):
+        sharp = np.max(self.temper) < NOISY
+        if not sharp or (near and not any(whitening.changes_noise(e) for e in effects)):
             return self.energy(y)
         shifted = as_effects(self.nuisance, -pull, self.motion.rigid.inertial, self.robot)
         held = [*self.with_nominal(effects), *shifted]
@@ -103,7 +150,7 @@ class Workspace:
         there = whitening.make(self.balances, scale, held)
         residual = there.apply(self.balances.residual(held)).ravel()
         # other nominal numbers (of effects, offsets) change no noise: their part stays linear
-        residual = residual - self._linear_part(pull)
+        residual = (residual - self._linear_part(pull)) * self.weights
         return float(residual @ residual) + float(pull @ pull)
 
     def _linear_part(self, pull: np.ndarray) -> np.ndarray:
@@ -112,7 +159,8 @@ class Workspace:
 
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Q between columns a (k, samples) and b (l, samples): (k, l)."""
-        return a @ b.T - (a @ self.J.T) @ cho_solve(self._gram, self.J @ b.T)
+        a, b = a * self.weights, b * self.weights
+        return a @ b.T - (a @ self.weighted.T) @ cho_solve(self._gram, self.weighted @ b.T)
 
     def against(self, a: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(k,) Q between columns a (k, samples) and a residual y (samples,)."""
@@ -120,7 +168,7 @@ class Workspace:
 
     def deviations(self, y: np.ndarray) -> np.ndarray:
         """Deviations of the nominal numbers, in prior deviations, that explain most of a residual y."""
-        return cho_solve(self._gram, self.J @ y)
+        return cho_solve(self._gram, self.weighted @ (y * self.weights))
 
     def deviation_errors(self) -> np.ndarray:
         """Standard errors of `deviations`."""
@@ -132,7 +180,12 @@ class Workspace:
 
     def project(self, a: np.ndarray) -> np.ndarray:
         """Columns a (k, samples) with what the nominal numbers can explain of them taken out."""
-        return a - cho_solve(self._gram, self.J @ a.T).T @ self.J
+        return a - cho_solve(self._gram, self.weighted @ (a * self.weights).T).T @ self.J
+
+    @property
+    def noise_energy(self) -> float:
+        """Energy that the predicted noise alone has at this temper."""
+        return float(np.sum(1.0 / self.temper)) * self.freedom / len(self.temper)
 
     def signals(self, joint: str | None) -> Signals:
         """Measured signals of a joint on usable samples, as `Effect.starts` sees them."""
