@@ -132,10 +132,11 @@ def read(source: str | os.PathLike[str]) -> Recording:
             raise RecordingError(
                 f"{path}: expected a .csv or .parquet file, got {path.suffix or 'no suffix'}"
             )
+        names = table.column_names  # decoded here, so that a bad one is caught
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise RecordingError(f"{path} cannot be read as {path.suffix[1:]}: {reason}") from None
-    return _from_table(table, path)
+    return _from_table(table, names, path)
 
 
 def _read_csv(path: Path) -> pa.Table:
@@ -143,8 +144,7 @@ def _read_csv(path: Path) -> pa.Table:
     return pa.csv.read_csv(path, convert_options=convert)
 
 
-def _from_table(table: pa.Table, path: Path) -> Recording:
-    names = table.column_names
+def _from_table(table: pa.Table, names: list[str], path: Path) -> Recording:
     if not names or names[0] != "time":
         first = names[0] if names else "no column"
         raise RecordingError(f"{path}: the first column must be `time` [s], got {first!r}")

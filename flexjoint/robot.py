@@ -122,7 +122,8 @@ def load(source: str | os.PathLike[str]) -> Robot:
         raise RobotError(f"{path} is a folder; give the robot YAML inside it") from None
     except (OSError, UnicodeDecodeError) as error:
         raise RobotError(f"{path} cannot be read as text: {error}") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as error:
+        # PyYAML lets through what its constructors of numbers and dates stumble over
         line = " ".join(str(error).split())
         raise RobotError(f"{path} is not valid YAML: {line}") from None
     return build(schema.parse(raw, str(path)), path)

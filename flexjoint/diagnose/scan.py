@@ -27,6 +27,7 @@ class Scored:
     amplitude: np.ndarray
     removes: float
     since: float | None
+    sight: float  # size of the whole record's trace, in noise deviations per unit of amplitude
 
     @property
     def candidate(self) -> Candidate:
@@ -93,7 +94,8 @@ def _score(trace: Trace, against: _Against) -> Scored | None:
     at = int(np.argmax(removes))
     if trace.candidate.joint is None or removes[at] - removes[0] < ONSET_MARGIN * abs(removes[at]):
         at = 0
-    return Scored(trace, amplitude[at], float(removes[at]), None if at == 0 else float(against.starts[at]))
+    since = None if at == 0 else float(against.starts[at])
+    return Scored(trace, amplitude[at], float(removes[at]), since, float(np.max(size[0])))
 
 
 class _Against:

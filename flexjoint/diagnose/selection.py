@@ -40,6 +40,7 @@ class Selection:
     best: Fit
     nothing: Fit  # no effect beyond the nominal model
     scan: tuple[Scored, ...]  # of the nominal model, best start of each candidate
+    last_scan: tuple[Scored, ...]  # of the chosen set: what was looked for beyond it
     rivals: tuple[tuple[Fit, ...], ...]  # per chosen effect: fits with another in its place, best first
 
 
@@ -63,6 +64,7 @@ def select(
     best = at_own_level(fit(workspace, start)) if start else nothing
     scanner = Scanner(candidates)
     first: tuple[Scored, ...] = ()
+    scanned: tuple[Scored, ...] = ()
     rivals: tuple[tuple[Fit, ...], ...] = ()
     while len(best.effects) < MOST_EFFECTS:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
@@ -78,7 +80,7 @@ def select(
         )
     report(0.9, "comparing rival causes")
     best, rivals = exchange(scanner, best, best.effects)
-    return Selection(best, nothing, first, rivals)
+    return Selection(best, nothing, first, scanned, rivals)
 
 
 def at_own_level(result: Fit) -> Fit:

@@ -39,6 +39,7 @@ class Whitening:
     time: np.ndarray  # their times from the start of the recording [s]
     freedom: float  # degrees of freedom per sample: balances minus missing positions
     scale: float
+    deviation: np.ndarray  # (m,) predicted noise of each balance [N m], filtered
 
     def apply(self, spectra: np.ndarray) -> np.ndarray:
         """(m, F) -> (m, K): whitened series at the usable samples."""
@@ -64,6 +65,8 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     # the numerical floor is white: spread over the whole sampled band like any sensor's noise
     spectrum[:, rows, rows] += (FLOOR * torque_scale) ** 2
     own = np.einsum("faa->fa", spectrum).real
+    # the band holds all that the filter passes; rfft bins above it count as nothing
+    deviation = np.sqrt(np.sum(own, axis=0) / window.omega.size)
     spectrum[:, rows, rows] += ROUNDING * own  # balances that share one noise are nearly dependent
     factor = np.linalg.cholesky(spectrum)
     matrix = np.linalg.inv(factor)
@@ -89,6 +92,7 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
         times[keep],
         len(balances.rows) - len(balances.motion.missing),
         scale,
+        deviation,
     )
 
 

@@ -49,10 +49,11 @@ class Workspace:
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self.J = self._columns.nuisance, self._columns.matrix
         self.temper = np.ones(len(rows))
+        self.used = np.ones(self.time.size)
         self._weigh()
 
     def _weigh(self) -> None:
-        self.weights = np.repeat(1.0 / np.sqrt(self.temper), self.time.size)
+        self.weights = np.outer(1.0 / np.sqrt(self.temper), self.used).ravel()
         self.weighted = self.J * self.weights
         self.gram = self.weighted @ self.weighted.T + np.eye(len(self.J))
         self._gram = cho_factor(self.gram)
@@ -62,6 +63,13 @@ class Workspace:
         noise: for comparing models of which none is complete."""
         other = copy.copy(self)
         other.temper = temper
+        other._weigh()
+        return other
+
+    def only(self, used: np.ndarray) -> Workspace:
+        """The same workspace with only some samples (bool, as many as `time`) counted."""
+        other = copy.copy(self)
+        other.used = used.astype(float)
         other._weigh()
         return other
 

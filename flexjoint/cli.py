@@ -1,0 +1,210 @@
+"""The command line: `flexjoint diagnose | compare | simulate | demo | robots | effects`.
+
+Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
+standard error. Heavy modules are imported by the commands that need them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from flexjoint.errors import FlexJointError
+
+UNUSABLE = 2
+INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code (`--help` and wrong usage exit by themselves)."""
+    arguments = _parser().parse_args(argv)
+    run: Callable[[argparse.Namespace], None] = arguments.run
+    try:
+        run(arguments)
+        sys.stdout.flush()
+    except FlexJointError as error:
+        return _say(str(error), UNUSABLE)
+    except BrokenPipeError:  # whoever read the output has enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return _say(f"{error.filename}: {error.strerror}", UNUSABLE)
+    except KeyboardInterrupt:
+        return _say("interrupted", INTERRUPTED)
+    return 0
+
+
+def _say(message: str, code: int) -> int:
+    print(f"flexjoint: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise SystemExit(_say(f"{message} (see {self.prog} --help)", UNUSABLE))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="flexjoint",
+        description="Simulate, compare and diagnose robots with series elastic and flexible joints.",
+    )
+    parser.add_argument("--version", action="version", version=_version())
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
+    diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="CSV or Parquet table")
+    _robot_argument(diagnose)
+    diagnose.add_argument("--json", type=Path, metavar="OUT.json", help="write the diagnosis as JSON")
+    diagnose.add_argument("--report", type=Path, metavar="OUT.html", help="write a page to read")
+    diagnose.add_argument("--model", type=Path, metavar="OUT.yaml", help="write the extended robot")
+    diagnose.add_argument("--quiet", action="store_true", help="print nothing")
+    diagnose.set_defaults(run=_diagnose)
+
+    compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
+    compare.add_argument("recording", type=Path, metavar="REC", help="CSV or Parquet table")
+    _robot_argument(compare)
+    compare.add_argument("--horizon", type=float, default=0.5, help="window length [s], default 0.5")
+    compare.add_argument("--closed-loop", action="store_true", help="drive by references, not by torques")
+    compare.add_argument("--json", type=Path, metavar="OUT.json", help="write the errors as JSON")
+    compare.set_defaults(run=_compare)
+
+    simulate = commands.add_parser("simulate", help="simulate a robot along a reference")
+    _robot_argument(simulate)
+    simulate.add_argument(
+        "--reference", type=Path, required=True, metavar="REC", help="table with q_ref, or tau_m"
+    )
+    simulate.add_argument(
+        "--out", type=Path, required=True, metavar="REC", help="recording to write (.csv or .parquet)"
+    )
+    simulate.set_defaults(run=_simulate)
+
+    demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
+    demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
+    demo.set_defaults(run=_demo)
+
+    robots = commands.add_parser("robots", help="list the robots that come with flexjoint")
+    robots.set_defaults(run=_robots)
+
+    effects = commands.add_parser("effects", help="list the physical effects it knows")
+    effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
+    effects.set_defaults(run=_effects)
+    return parser
+
+
+def _robot_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--robot", required=True, metavar="R.yaml", help="robot YAML, or the name of a shipped robot"
+    )
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return f"flexjoint {version('flexjoint')}"
+    except PackageNotFoundError:  # run from a checkout
+        return "flexjoint (not installed)"
+
+
+# --- commands ---------------------------------------------------------------------------------------------
+def _diagnose(arguments: argparse.Namespace) -> None:
+    from rich.console import Console
+
+    from flexjoint import cli_outputs, recording, robot
+    from flexjoint.checks import check
+    from flexjoint.diagnose import diagnose, extended_model
+    from flexjoint.diagnosis import to_json
+    from flexjoint.terminal import Progress, no_progress, summary
+
+    asked = cli_outputs.Asked(arguments.json, arguments.report, arguments.model)
+    asked.check([Path(arguments.robot), *arguments.recordings])
+    nominal = robot.load(arguments.robot)
+    recordings = [recording.read(path) for path in arguments.recordings]
+    for table in recordings:
+        check(nominal, table)
+    with Progress() as bar:
+        diagnosis = diagnose(nominal, recordings, progress=no_progress if arguments.quiet else bar)
+    extended = extended_model(nominal, diagnosis)
+    page = None
+    if asked.report is not None:
+        page = cli_outputs.page(diagnosis, nominal, extended, recordings[0])
+    asked.write(to_json(diagnosis, asked.model_name()), page, extended)
+    if not arguments.quiet:
+        console = Console()
+        summary(diagnosis, nominal, console)
+        for path in asked.paths():
+            console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _compare(arguments: argparse.Namespace) -> None:
+    from rich.console import Console
+
+    from flexjoint import cli_outputs, recording, robot
+    from flexjoint.checks import check
+    from flexjoint.compare import compare
+    from flexjoint.model import FlexibleJointModel
+
+    cli_outputs.Asked(json=arguments.json).check()
+    loaded = robot.load(arguments.robot)
+    table = recording.read(arguments.recording)
+    check(loaded, table)
+    result = compare(table, FlexibleJointModel(loaded), arguments.horizon, arguments.closed_loop)
+    if arguments.json is not None:
+        cli_outputs.write_json(arguments.json, result.to_json())
+    cli_outputs.print_comparison(result, loaded, table, Console())
+
+
+def _simulate(arguments: argparse.Namespace) -> None:
+    from flexjoint import cli_outputs, recording, robot
+    from flexjoint.checks import check_joints
+    from flexjoint.model import FlexibleJointModel
+    from flexjoint.simulate import simulate
+
+    cli_outputs.check_place(arguments.out, (".csv", ".parquet"), [arguments.reference])
+    loaded = robot.load(arguments.robot)
+    reference = recording.read(arguments.reference)
+    check_joints(loaded, reference)
+    result = simulate(FlexibleJointModel(loaded), reference).measured
+    recording.write(result, arguments.out)
+    print(f"wrote {arguments.out}: {result.duration:.4g} s of {', '.join(result.joints)}")
+
+
+def _demo(arguments: argparse.Namespace) -> None:
+    from rich.console import Console
+
+    from flexjoint import demo
+    from flexjoint.terminal import Progress
+
+    demo.outputs(arguments.out)  # complains before the work, not after it
+    with Progress() as bar:
+        shown = demo.run(bar)
+    files = demo.write(shown, arguments.out)
+    demo.show(shown, files, Console())
+
+
+def _robots(arguments: argparse.Namespace) -> None:
+    from flexjoint import robot
+
+    for name, path in robot.shipped_robots().items():
+        loaded = robot.load(path)
+        recordings = sorted((path.parent / "recordings").glob("*.parquet"))
+        held = f"; recordings {', '.join(r.stem for r in recordings)}" if recordings else ""
+        print(f"{name}: {', '.join(loaded.joint_names)}{held}\n    {path}")
+
+
+def _effects(arguments: argparse.Namespace) -> None:
+    from flexjoint import cli_effects
+
+    if arguments.markdown:
+        print(cli_effects.markdown(), end="")
+    else:
+        cli_effects.show()

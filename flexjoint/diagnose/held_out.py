@@ -1,0 +1,128 @@
+"""What a set of causes gains on data that its fit did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from flexjoint.compare import Comparison, compare
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnosis import Gain
+from flexjoint.effect import Planned
+from flexjoint.errors import FlexJointError
+from flexjoint.model import FlexibleJointModel
+from flexjoint.noise import white_noise
+from flexjoint.recording import MEASURED, Recording
+from flexjoint.robot import Robot
+
+BLOCK = 2.0  # s; every second block is held out
+HORIZON = 0.5  # s
+
+
+def held_out_blocks(time: np.ndarray) -> np.ndarray:
+    """(N,) bool: samples that a fit does not see (time from the recording's start)."""
+    return np.floor(time / BLOCK).astype(int) % 2 == 1
+
+
+def gains(workspace: Workspace, best: Fit, nothing: Fit) -> list[float]:
+    """Share of the nominal model's held-out error that each cause removes: refitted on the other blocks,
+    with it and without it."""
+    away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time)
+    if not np.any(away) or np.all(away):
+        away = np.arange(workspace.time.size) % 2 == 1
+    level = best.workspace.temper
+    seen, unseen = workspace.at(level).only(~away), workspace.at(level).only(away)
+    noise = float(np.sum(1.0 / level)) * float(np.sum(away)) * workspace.whitening.freedom / len(level)
+
+    def error(effects: Sequence[Planned]) -> float:
+        fitted = fit(seen, effects)
+        rest = (fitted.y - seen.deviations(fitted.y) @ workspace.J) * unseen.weights
+        return float(rest @ rest)
+
+    everything, none = error(best.effects), error([])
+    whole = max(none - min(noise, everything), 1e-300)
+    out = []
+    for k in range(len(best.effects)):
+        without = none if len(best.effects) == 1 else error([e for i, e in enumerate(best.effects) if i != k])
+        out.append(float(np.clip((without - everything) / whole, 0.0, 1.0)))
+    return out
+
+
+def comparison(robot: Robot, recording: Recording, workspace: Workspace, best: Fit) -> Gain | None:
+    """Simulation against the held-out blocks, before and after; the parameters come from the other blocks.
+    None where the recording cannot drive a simulation."""
+    away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time)
+    held_out = bool(np.any(away) and not np.all(away))
+    effects: Sequence[Planned] = best.effects
+    if held_out:
+        effects = fit(workspace.at(best.workspace.temper).only(~away), best.effects).effects
+    try:
+        before = compare(recording, FlexibleJointModel(robot), HORIZON)
+        after = before
+        if effects:
+            after = compare(recording, FlexibleJointModel(robot.extended(dated(effects, recording))), HORIZON)
+    except FlexJointError:
+        return None
+    rows = (
+        held_out_blocks(recording.time - recording.time[0])
+        if held_out
+        else np.ones(len(recording.time), bool)
+    )
+    return Gain(
+        held_out,
+        HORIZON,
+        errors(recording, before, rows),
+        errors(recording, after, rows),
+        {"rms": noise_floor(robot, recording)},
+    )
+
+
+def dated(effects: Sequence[Planned], recording: Recording) -> list[Planned]:
+    """Effects as a simulation of this recording takes them (onsets count from its start)."""
+    return [replace(e) for e in effects]
+
+
+def errors(recording: Recording, run: Comparison, rows: np.ndarray) -> dict[str, Mapping[str, float]]:
+    """RMS and NRMSE per channel over some rows; phi about its mean where both encoders are measured."""
+    rms: dict[str, float] = {}
+    nrmse: dict[str, float] = {}
+    for (channel, joint), simulated in run.simulated.items():
+        _add(rms, nrmse, f"{channel}.{joint}", recording.get(channel, joint), simulated, rows)
+    for joint in dict.fromkeys(joint for _, joint in run.simulated):
+        if ("q", joint) in run.simulated and ("theta", joint) in run.simulated:
+            measured = recording.get("theta", joint) - recording.get("q", joint)
+            phi = run.simulated["theta", joint] - run.simulated["q", joint]
+            both = np.isfinite(measured) & np.isfinite(phi)
+            _add(
+                rms, nrmse, f"phi.{joint}", measured - np.mean(measured[both]), phi - np.mean(phi[both]), rows
+            )
+    return {"rms": rms, "nrmse": nrmse}
+
+
+def _add(
+    rms: dict[str, float],
+    nrmse: dict[str, float],
+    name: str,
+    measured: np.ndarray,
+    simulated: np.ndarray,
+    rows: np.ndarray,
+) -> None:
+    error = (simulated - measured)[rows]
+    error = error[np.isfinite(error)]
+    if error.size:
+        rms[name] = float(np.sqrt(np.mean(error**2)))
+        spread = float(np.nanstd(measured))
+        if spread > 0.0:
+            nrmse[name] = rms[name] / spread
+
+
+def noise_floor(robot: Robot, recording: Recording) -> dict[str, float]:
+    """Predicted sensor noise per channel: no model can come below it."""
+    return {
+        f"{channel}.{joint}": white_noise(values)
+        for (channel, joint), values in recording.columns.items()
+        if channel in MEASURED and joint in robot.joint_names
+    }

@@ -1,0 +1,77 @@
+"""What the chosen causes leave: which balance, how much, and the signal that it depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnose.nuisance import as_effects
+from flexjoint.diagnosis import ResidualView, Unexplained
+
+KNOTS = 8  # of the spline through which a leftover is regressed on a signal
+ABOVE_NOISE = 1.5  # deviations of the predicted noise below which a leftover is none
+
+
+def views(best: Fit) -> tuple[ResidualView, ...]:
+    """Residual of every balance [N m] before and after, with the signals it may depend on."""
+    workspace = best.workspace
+    balances, used = workspace.balances, workspace.readings.valid
+    shifted = as_effects(
+        workspace.nuisance, -workspace.deviations(best.y), workspace.motion.rigid.inertial, workspace.robot
+    )
+    before = balances.time_series(balances.residual(workspace.nominal))[:, used]
+    held = [*workspace.with_nominal(best.effects), *shifted]
+    after = balances.time_series(balances.residual(held))[:, used]
+    noise = workspace.whitening.deviation
+    out = []
+    for row, old, new, expected in zip(balances.rows, before, after, noise, strict=True):
+        joint = workspace.robot.joints[row.joint]
+        signals = workspace.signals(joint.name)
+        axes = {
+            "dtheta": signals.dtheta,
+            "q": signals.q,
+            "tau_t": signals.tau_t,
+            "phi": signals.phi,
+            "tau_m": signals.tau_m,
+            "t": signals.t,
+        }
+        out.append(ResidualView(joint.name, row.balance, signals.t, old, new, float(expected), axes))
+    return tuple(out)
+
+
+def unexplained(best: Fit, residuals: tuple[ResidualView, ...]) -> tuple[Unexplained, ...]:
+    """Balances whose leftover is beyond noise and beyond the robot's torque tolerance."""
+    workspace = best.workspace
+    found = []
+    for row, view in zip(workspace.balances.rows, residuals, strict=True):
+        left, first = float(np.sqrt(np.mean(view.after**2))), float(np.sqrt(np.mean(view.before**2)))
+        # a mean is what offset-free recordings leave; what varies counts
+        floor = workspace.robot.tolerance.torque * float(workspace.torque_scale[row.joint])
+        beyond = np.sqrt(max(0.0, left**2 - view.noise**2))
+        if beyond > floor and left > ABOVE_NOISE * view.noise:
+            share = float(min(1.0, (beyond / max(first, 1e-300)) ** 2))
+            found.append(Unexplained(view.joint, view.balance, share, depends_on(view.after, view.signals)))
+    return tuple(sorted(found, key=lambda u: -u.share))
+
+
+def depends_on(residual: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
+    """The signal on which a smooth curve explains most of the residual (R^2 of a spline regression)."""
+    best, most = "t", -1.0
+    for name, x in signals.items():
+        if float(np.ptp(x)) <= 0.0:
+            continue
+        design = _spline(x)
+        fitted = design @ np.linalg.lstsq(design, residual, rcond=1e-9)[0]
+        share = 1.0 - float(np.sum((residual - fitted) ** 2)) / max(float(np.sum(residual**2)), 1e-300)
+        if share > most:
+            best, most = name, share
+    return best
+
+
+def _spline(x: np.ndarray) -> np.ndarray:
+    inner = np.unique(np.quantile(x, np.linspace(0.0, 1.0, KNOTS)))
+    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+    return BSpline.design_matrix(np.clip(x, inner[0], inner[-1]), knots, 3).toarray()

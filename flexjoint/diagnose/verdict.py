@@ -1,0 +1,204 @@
+"""From a selected set of effects to a diagnosis: verdict, findings, ties, tolerances, what was not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from flexjoint.diagnose.candidates import Candidate
+from flexjoint.diagnose.fit import Fit, covariance
+from flexjoint.diagnose.scan import Scored
+from flexjoint.diagnose.selection import Selection, leftover, price, score, torque_share
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
+from flexjoint.effect import Planned
+
+TIE = 12.0  # score by which a rival may lose and still fit as well
+MOST_TIES = 3
+SCORE_BLOCK = 1.0  # s, of the time blocks behind the standard errors
+SEEN_SHARE = 0.2  # of a joint's torque: an effect that must be larger to be seen was not excited
+DETECTABLE = 20.0  # energy that makes an effect seen
+NOTABLE = 2.0  # prior deviations of a nominal number that are worth a line
+
+
+def findings(selection: Selection, gains: Sequence[float]) -> tuple[Finding, ...]:
+    """The chosen effects as findings, the largest gain first."""
+    best = selection.best
+    if not best.effects:
+        return ()
+    spread = standard_errors(best)
+    explained = explained_share(selection)
+    out = []
+    for k, planned in enumerate(best.effects):
+        listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
+        rivals = selection.rivals[k] if k < len(selection.rivals) else ()
+        ties = _ties(best, planned, rivals)
+        out.append(
+            Finding(
+                planned.effect.name,
+                planned.joint,
+                _probability(selection, k, ties, explained),
+                _parameters(planned, spread[k], listed),
+                None if planned.since is None else planned.since + best.workspace.readings.start,
+                gains[k],
+                str(planned.effect.kind),
+                planned,
+                ties,
+                _hidden_by_refit(selection, k),
+                "change against the nominal model's own entry" if listed is not None else "",
+            )
+        )
+    return tuple(sorted(out, key=lambda f: -f.gain))
+
+
+def standard_errors(best: Fit) -> list[dict[str, list[float]]]:
+    """Per effect: standard errors of each parameter's components."""
+    rows = len(best.workspace.balances.rows)
+    time = best.workspace.time
+    blocks = np.tile(((time - time[0]) / SCORE_BLOCK).astype(int), rows)
+    deviation = np.sqrt(np.maximum(np.diag(covariance(best, blocks)), 0.0))
+    out: list[dict[str, list[float]]] = [{} for _ in best.effects]
+    for slot, std in zip(best.slots, deviation, strict=True):
+        out[slot.effect].setdefault(slot.param.name, []).append(float(std))
+    return out
+
+
+def _parameters(
+    planned: Planned, spread: dict[str, list[float]], listed: Planned | None
+) -> dict[str, Fitted | str]:
+    out: dict[str, Fitted | str] = {}
+    for param in planned.effect.params:
+        value: Any = planned.values[param.name]
+        if listed is not None and param.size == 1:
+            value = value - listed.values[param.name]
+        std = spread.get(param.name, [0.0])
+        numbers = [value] if param.size == 1 else list(value)
+        at_bound = any(np.isclose(v, (param.low, param.high), rtol=1e-9).any() for v in numbers)
+        if param.size == 1:
+            out[param.name] = Fitted(float(value), std[0], param.unit, at_bound)
+        else:
+            out[param.name] = Fitted(tuple(float(v) for v in value), tuple(std), param.unit, at_bound)
+    for word in planned.effect.words:
+        chosen = planned.values.get(word.name)
+        if chosen is not None:
+            out[word.name] = str(chosen)
+    return out
+
+
+def _ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]:
+    """Rivals that fit as well. One that merely contains the found effect is no rival of it."""
+    margin = TIE + 0.05 * leftover(best)
+    out = []
+    for rival in rivals:
+        other = rival.effects[-1]
+        behind = score(rival) - score(best)
+        if behind > margin or planned.effect.name in other.effect.contains or len(out) >= MOST_TIES:
+            continue
+        out.append(
+            Tie(
+                other.effect.name,
+                other.joint,
+                f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides): with these"
+                " sensors and this motion both leave the same trace",
+            )
+        )
+    return tuple(out)
+
+
+def _probability(selection: Selection, k: int, ties: Sequence[Tie], explained: float) -> float:
+    """From the margin over the best rival that is not a tie, shared among ties, and lowered by what the
+    whole set leaves unexplained."""
+    best = selection.best
+    tied = {(tie.effect, tie.joint) for tie in ties}
+    rivals = selection.rivals[k] if k < len(selection.rivals) else ()
+    margin = min((score(r) - score(best) for r in rivals if r.effects[-1].key not in tied), default=40.0)
+    against = 1.0 / (1.0 + np.exp(-0.5 * np.clip(margin, -40.0, 40.0)))
+    return float(np.clip(against * min(1.0, explained + 0.02) / (1 + len(ties)), 0.0, 0.999))
+
+
+def explained_share(selection: Selection) -> float:
+    """Share of the nominal model's energy above noise that the chosen set removes, at its own level."""
+    best, workspace = selection.best, selection.best.workspace
+    first = workspace.rest(selection.nothing.y) * workspace.weights
+    last = workspace.rest(best.y) * workspace.weights
+    noise = workspace.freedom / len(workspace.temper) * float(np.sum(1.0 / workspace.temper))
+    excess = max(float(first @ first) - noise, 1e-300)
+    return float(np.clip(1.0 - max(float(last @ last) - noise, 0.0) / excess, 0.0, 1.0))
+
+
+def _hidden_by_refit(selection: Selection, k: int) -> bool:
+    """Whether freeing the nominal numbers altogether would absorb most of what the effect explains."""
+    best = selection.best
+    workspace = best.workspace
+    without = [e for i, e in enumerate(best.effects) if i != k]
+    y = workspace.residual(without) * workspace.weights
+    free = workspace.weighted
+    if not len(free):
+        return False
+    ridge = 1e-6 * np.trace(free @ free.T) / len(free) * np.eye(len(free))
+    absorbed = y - np.linalg.solve(free @ free.T + ridge, free @ y) @ free
+    own = best.y * workspace.weights
+    here, refit = float(y @ y - own @ own), float(y @ y - absorbed @ absorbed)
+    return refit > 0.9 * here > 0.0
+
+
+def within_tolerance(best: Fit) -> tuple[WithinTolerance, ...]:
+    """Nominal numbers that the data show to be off by less than would make them a cause."""
+    workspace = best.workspace
+    pull, error = -workspace.deviations(best.y), workspace.deviation_errors()
+    found = {e.key for e in best.effects}
+    out = []
+    for number, value, std in zip(workspace.nuisance, pull, error, strict=True):
+        if (
+            number.joint is None
+            or abs(value) < max(NOTABLE * std, 0.25)
+            or (number.name, number.joint) in found
+        ):
+            continue
+        change = float(value) * number.spread
+        name = number.name
+        if name == "motor_damping":
+            name, change = "motor_viscous_friction", change * workspace.robot.joint(number.joint).drive.D_m
+        elif name not in ("spring_stiffness", "spring_damping", "motor_inertia"):
+            continue
+        out.append(WithinTolerance(name, number.joint, change))
+    return tuple(out)
+
+
+def not_excited(selection: Selection, candidates: Sequence[Candidate]) -> tuple[tuple[str, str | None], ...]:
+    """Effects that this recording could not have shown unless they were large."""
+    seen: set[tuple[str, str | None]] = set()
+    for scored in (*selection.scan, *selection.last_scan):
+        needed = np.sqrt(DETECTABLE) / max(scored.sight, 1e-9)
+        limit = 1.5 if scored.trace.kind == "whole" else SEEN_SHARE / 0.05
+        if needed <= limit:
+            seen.add(scored.candidate.key)
+    named = {e.key for e in selection.best.effects}
+    return tuple(dict.fromkeys(c.key for c in candidates if c.key not in seen and c.key not in named))
+
+
+def ranking(selection: Selection) -> tuple[Ranked, ...]:
+    """Every candidate alone on the nominal model: share of its energy that it removes, to first order."""
+    whole = max(selection.nothing.energy, 1e-300)
+    out: list[Ranked] = []
+    for scored in selection.scan:
+        planned = scored.planned()
+        out.append(
+            Ranked(
+                planned.effect.name,
+                planned.joint,
+                float(np.clip(scored.removes / whole, 0.0, 1.0)),
+                planned.values,
+            )
+        )
+    return tuple(out)
+
+
+def material_share(workspace: Workspace, best: Fit) -> list[float]:
+    """Torque share of every chosen effect."""
+    return [torque_share(workspace, best.effects, k) for k in range(len(best.effects))]
+
+
+__all__ = ["Scored", "findings", "price"]
