@@ -22,8 +22,8 @@ HEAD = """\
 
 Generated from the catalogue by `flexjoint effects --markdown`; do not edit. One file per effect under
 `flexjoint/effects/`; [adding_an_effect.md](adding_an_effect.md) tells how to write one. Symbols and signs:
-[conventions.md](conventions.md). An effect is absent where its parameters have their null values; a shape has none,
-and means nothing while the amplitude beside it is null.
+[conventions.md](conventions.md). An effect is absent where its parameters have their null values; a shape has
+none, and means nothing while the amplitude beside it is null.
 """
 
 

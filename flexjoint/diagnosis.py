@@ -46,6 +46,7 @@ class Finding:
     kind: str
     planned: Planned
     indistinguishable: tuple[Tie, ...] = ()
+    members: tuple[Planned, ...] = ()  # of a cause that joints share: the effect on each of them
     hidden_by_refit: bool = False  # a refit of the nominal numbers would absorb most of it
     note: str = ""
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from flexjoint.diagnose import held_out, leftover, verdict
+from flexjoint.diagnose.balances import Balances
 from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.experiment import advice
 from flexjoint.diagnose.selection import select
@@ -55,21 +56,22 @@ def diagnose(
     recording = recordings[0]
     report(0.0, "preparing the balances")
     balances = balances_of(robot, recording)
-    refusal = _refusal(balances.motion.readings.valid, balances)
+    refusal = _refusal(balances)
     if refusal:
         return Diagnosis("refused", refusal)
     workspace = Workspace(balances)
     candidates = enumerate_candidates(workspace, excluded)
     selection = select(workspace, candidates, report)
     report(0.92, "measuring the gain on held-out data")
+    selection, measured, notes = held_out.confirmed(robot, recording, workspace, selection)
     best = selection.best
     found = verdict.findings(selection, held_out.gains(workspace, best, selection.nothing))
+    found = verdict.merged(found, candidates)
     residuals = leftover.views(best)
     left = leftover.unexplained(best, residuals)
     explained = verdict.explained_share(selection)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)
-    measured = held_out.comparison(robot, recording, workspace, best)
     report(1.0, "done")
     return Diagnosis(
         verdict=kind,  # type: ignore[arg-type]
@@ -83,6 +85,7 @@ def diagnose(
         ranking=verdict.ranking(selection),
         residuals=residuals,
         explained=explained,
+        notes=notes,
         energy=(
             float(np.mean(selection.nothing.workspace.temper)),
             float(np.mean(best.workspace.temper)),
@@ -92,22 +95,21 @@ def diagnose(
 
 def extended_model(robot: Robot, diagnosis: Diagnosis) -> Robot:
     """The robot with the diagnosed causes in its model."""
-    return robot.extended([finding.planned for finding in diagnosis.findings])
+    effects = [e for f in diagnosis.findings for e in (f.members or (f.planned,))]
+    return robot.extended(effects)
 
 
-def _refusal(valid: np.ndarray, balances: object) -> str:
-    from flexjoint.diagnose.balances import Balances
-
-    assert isinstance(balances, Balances)
+def _refusal(balances: Balances) -> str:
+    """Why the data cannot carry a verdict; empty when they can."""
     motion = balances.motion
-    seconds = float(np.sum(valid)) * motion.readings.period
+    used = motion.readings.valid
+    seconds = float(np.sum(used)) * motion.readings.period
     if seconds < SHORTEST:
         return f"only {seconds:.2g} s of usable data beside gaps and edges; record at least {SHORTEST:g} s"
     if not balances.rows:
         return (
             "no torque balance can be closed: neither motor torques nor both encoders of a joint are recorded"
         )
-    used = valid
     travel = np.ptp(motion.theta[:, used], axis=1)
     noise = np.maximum(motion.readings.noise["theta"], motion.readings.noise["q"])
     if np.all(travel < STILL * np.maximum(noise, 1e-9)):

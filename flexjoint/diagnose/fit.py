@@ -14,6 +14,7 @@ from flexjoint.effect import Param, Planned
 
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
+FACTOR_SPREAD = 0.7  # of the logarithm of a factor on a nominal number: two is one deviation
 POSITION_SPREAD = 0.5  # m, a weak prior that holds components of a position which the data do not see
 
 
@@ -136,14 +137,26 @@ def _normal_equations(
     normal = workspace.product(jacobian, jacobian)
     slope = workspace.against(jacobian, y)
     for k, slot in enumerate(slots):
-        if slot.param.unit == "m":
-            normal[k, k] += 1.0 / POSITION_SPREAD**2
-            slope[k] += slot.get(effects) / POSITION_SPREAD**2
+        value, first = _weak_prior(slot, effects)
+        normal[k, k] += first**2
+        slope[k] += first * value
     return normal, slope
 
 
 def _prior(slots: Sequence[Slot], effects: Sequence[Planned]) -> float:
-    return sum((slot.get(effects) / POSITION_SPREAD) ** 2 for slot in slots if slot.param.unit == "m")
+    return sum(_weak_prior(slot, effects)[0] ** 2 for slot in slots)
+
+
+def _weak_prior(slot: Slot, effects: Sequence[Planned]) -> tuple[float, float]:
+    """How many deviations a number lies from what is plausible at all, and the derivative of that: factors
+    are off by a factor of two as a rule at most; positions lie within reach."""
+    number, param = slot.get(effects), slot.param
+    if param.unit == "m":
+        return number / POSITION_SPREAD, 1.0 / POSITION_SPREAD
+    if param.unit == "1" and param.low < 0.0 and param.null == 0.0:
+        factor = max(1.0 + number, 1e-3)
+        return float(np.log(factor)) / FACTOR_SPREAD, 1.0 / (factor * FACTOR_SPREAD)
+    return 0.0, 0.0
 
 
 def _wrap(effects: Sequence[Planned]) -> list[Planned]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from flexjoint.compare import Comparison, compare
 from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.selection import Selection
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Gain
 from flexjoint.effect import Planned
@@ -20,6 +21,7 @@ from flexjoint.robot import Robot
 
 BLOCK = 2.0  # s; every second block is held out
 HORIZON = 0.5  # s
+WORSE = 1.2  # times the nominal error, from which a simulation counts as made worse
 
 
 def held_out_blocks(time: np.ndarray) -> np.ndarray:
@@ -51,6 +53,41 @@ def gains(workspace: Workspace, best: Fit, nothing: Fit) -> list[float]:
     return out
 
 
+def confirmed(
+    robot: Robot, recording: Recording, workspace: Workspace, selection: Selection
+) -> tuple[Selection, Gain | None, tuple[str, ...]]:
+    """The selection without causes that make the simulation of their own joint worse on held-out data: a
+    balance can be made smaller by a wrong cause, a simulation hardly."""
+    notes: list[str] = []
+    measured = comparison(robot, recording, workspace, selection.best)
+    while measured is not None and selection.best.effects:
+        worse = [e for e in selection.best.effects if e.joint is not None and _worsened(measured, e.joint)]
+        if not worse:
+            break
+        dropped = worse[-1]
+        keep = [k for k, e in enumerate(selection.best.effects) if e is not dropped]
+        best = fit(selection.best.workspace, [selection.best.effects[k] for k in keep])
+        rivals = tuple(selection.rivals[k] for k in keep)
+        trial = replace(selection, best=best, rivals=rivals)
+        again = comparison(robot, recording, workspace, best)
+        if again is None or _size(again, dropped.joint) > 0.95 * _size(measured, dropped.joint):
+            break
+        notes.append(f"{dropped} would make the balance smaller but the simulation worse: not named")
+        selection, measured = trial, again
+    return selection, measured, tuple(notes)
+
+
+def _worsened(gain: Gain, joint: str) -> bool:
+    return _size(gain, joint) > WORSE * _size(gain, joint, "before")
+
+
+def _size(gain: Gain, joint: str | None, when: str = "after") -> float:
+    """Mean NRMSE of the positions of a joint."""
+    table = (gain.after if when == "after" else gain.before)["nrmse"]
+    sizes = [table[key] for key in (f"q.{joint}", f"theta.{joint}") if key in table]
+    return float(np.mean(sizes)) if sizes else 0.0
+
+
 def comparison(robot: Robot, recording: Recording, workspace: Workspace, best: Fit) -> Gain | None:
     """Simulation against the held-out blocks, before and after; the parameters come from the other blocks.
     None where the recording cannot drive a simulation."""
@@ -63,7 +100,7 @@ def comparison(robot: Robot, recording: Recording, workspace: Workspace, best: F
         before = compare(recording, FlexibleJointModel(robot), HORIZON)
         after = before
         if effects:
-            after = compare(recording, FlexibleJointModel(robot.extended(dated(effects, recording))), HORIZON)
+            after = compare(recording, FlexibleJointModel(robot.extended(effects)), HORIZON)
     except FlexJointError:
         return None
     rows = (
@@ -78,11 +115,6 @@ def comparison(robot: Robot, recording: Recording, workspace: Workspace, best: F
         errors(recording, after, rows),
         {"rms": noise_floor(robot, recording)},
     )
-
-
-def dated(effects: Sequence[Planned], recording: Recording) -> list[Planned]:
-    """Effects as a simulation of this recording takes them (onsets count from its start)."""
-    return [replace(e) for e in effects]
 
 
 def errors(recording: Recording, run: Comparison, rows: np.ndarray) -> dict[str, Mapping[str, float]]:

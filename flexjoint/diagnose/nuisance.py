@@ -10,7 +10,7 @@ import numpy as np
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
 from flexjoint.diagnose.whitening import Whitening
-from flexjoint.effect import Drive, Effect, Param, Planned, Site
+from flexjoint.effect import Drive, Effect, Param, Planned, Site, plan
 from flexjoint.robot import Robot
 
 OFFSET_SPREAD = 0.2  # rad, standard deviation of an encoder offset that is free in each recording
@@ -71,6 +71,11 @@ def as_effects(
             added[number.joint] = added.get(number.joint, np.zeros(10)) + step
             seen[number.joint] = seen.get(number.joint, 0) + 1
     out = [
+        plan(n.name, n.joint, {"offset": -float(d) * n.spread})  # reading = true + offset
+        for n, d in zip(nuisance, deviations, strict=True)
+        if n.name.endswith("_encoder_offset")
+    ]
+    out += [
         Planned(DriveDeviation(), joint, {**dict.fromkeys("KB", 0.0), "D": 0.0, "D_m": 0.0, **values})
         for joint, values in drives.items()
     ]

@@ -13,7 +13,7 @@ from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.fit import Fit
 from flexjoint.effect import Planned
 
-BLOCKS = 32  # time blocks at whose edges an onset is tried
+BLOCKS = 16  # time blocks at whose edges an onset is tried
 ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferred
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 4e8  # bytes of traces that are remembered between scans

@@ -18,13 +18,15 @@ from flexjoint.diagnose.scan import Scanner, Scored
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Planned
 
-PRICE_EFFECT = 6.0  # log-odds (doubled) against any one effect being there
-PRICE_NUMBER = 4.0  # for each of its numbers; 10 for a one-number effect: about 3 deviations
+PRICE_FIRST = 10.0  # energy that an effect of one number must earn: about 3 deviations
+PRICE_NUMBER = 12.0  # and for each further number, or an onset: a finer law must be clearly better
 METHOD_ERROR = (
     1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
 )
 LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
-POLISHED = 8  # candidates fitted in full at each stage
+POLISHED = 8  # candidates fitted in full at each stage, at most ...
+PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
+RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
 MOST_EFFECTS = 12
 MOST_EXCHANGES = 4
 LEVEL_ROUNDS = 5
@@ -45,10 +47,8 @@ class Selection:
 
 
 def price(effects: Sequence[Planned]) -> float:
-    return sum(
-        PRICE_EFFECT + PRICE_NUMBER * (sum(p.size for p in e.effect.params) + (e.since is not None))
-        for e in effects
-    )
+    numbers = [sum(p.size for p in e.effect.params) + (e.since is not None) for e in effects]
+    return sum(PRICE_FIRST + PRICE_NUMBER * (count - 1) for count in numbers)
 
 
 def score(result: Fit) -> float:
@@ -106,11 +106,15 @@ def choose(fits: Sequence[Fit]) -> Fit:
     return min((f for f in fits if score(f) <= close), key=lambda f: (price(f.effects), score(f)))
 
 
-def polish(current: Fit, scanned: Sequence[Scored]) -> list[Fit]:
-    """The most promising candidates fitted together with the current set."""
-    out = []
+def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Fit]:
+    """The most promising candidates fitted together with the current set: those whose first-order gain
+    comes near the best one's, and near the `needed` energy."""
+    out: list[Fit] = []
+    if not scanned:
+        return out
+    enough = max(PROMISING * scanned[0].removes, RIVALLING * needed, 1.0)
     for scored in scanned[:POLISHED]:
-        if scored.removes > 0.0:
+        if scored.removes >= enough:
             out.append(fit(current.workspace, [*current.effects, scored.planned()]))
     return out
 
@@ -143,7 +147,8 @@ def exchange(
         if len(others) == len(result.effects):
             continue
         without = fit(result.workspace, others)
-        fits = [f for f in polish(without, scanner.scan(without)) if f.effects[-1].key != key]
+        needed = without.energy - result.energy
+        fits = [f for f in polish(without, scanner.scan(without), needed) if f.effects[-1].key != key]
         swapped = choose([result, *fits])
         if swapped is not result and exchanges < MOST_EXCHANGES:
             exchanges += 1

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance
-from flexjoint.diagnose.scan import Scored
-from flexjoint.diagnose.selection import Selection, leftover, price, score, torque_share
-from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.selection import Selection, leftover, score
 from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
-from flexjoint.effect import Planned
+from flexjoint.effect import Kind, Planned
 
 TIE = 12.0  # score by which a rival may lose and still fit as well
 MOST_TIES = 3
 SCORE_BLOCK = 1.0  # s, of the time blocks behind the standard errors
 SEEN_SHARE = 0.2  # of a joint's torque: an effect that must be larger to be seen was not excited
 DETECTABLE = 20.0  # energy that makes an effect seen
+SAME = 3.0  # deviations within which joints share one value
 NOTABLE = 2.0  # prior deviations of a nominal number that are worth a line
 
 
@@ -50,6 +50,41 @@ def findings(selection: Selection, gains: Sequence[float]) -> tuple[Finding, ...
                 "change against the nominal model's own entry" if listed is not None else "",
             )
         )
+    return tuple(sorted(out, key=lambda f: -f.gain))
+
+
+def merged(found: Sequence[Finding], candidates: Sequence[Candidate]) -> tuple[Finding, ...]:
+    """Timing causes that every joint with the sensor shares, with one value, as one finding of the robot."""
+    out = list(found)
+    groups: dict[object, list[Finding]] = {}
+    for f in found:
+        if f.kind == Kind.TIMING and f.joint is not None:
+            words = tuple(f.planned.values.get(w.name) for w in f.planned.effect.words)
+            groups.setdefault((f.effect, words), []).append(f)
+    for (effect, words), group in groups.items():  # type: ignore[misc]
+        joints = {
+            c.joint for c in candidates if c.effect.name == effect and tuple(v for _, v in c.words) == words
+        }
+        if len(group) < 2 or {f.joint for f in group} != joints or any(f.since is not None for f in group):
+            continue
+        name = group[0].planned.effect.nulls[0].name
+        values = np.array([f.parameters[name].value for f in group], dtype=float)  # type: ignore[union-attr]
+        weights = np.array([f.parameters[name].std for f in group], dtype=float) ** -2.0  # type: ignore[union-attr]
+        mean = float(np.sum(weights * values) / np.sum(weights))
+        if np.any(np.abs(values - mean) * np.sqrt(weights) > SAME):
+            continue
+        shared = {**group[0].parameters, name: Fitted(mean, float(np.sum(weights) ** -0.5), "s")}
+        one = replace(
+            group[0],
+            joint=None,
+            parameters=shared,
+            gain=min(1.0, sum(f.gain for f in group)),
+            probability=max(f.probability for f in group),
+            members=tuple(f.planned.with_values({name: mean}) for f in group),
+            indistinguishable=(),
+            note=f"shared by {', '.join(str(f.joint) for f in group)}",
+        )
+        out = [f for f in out if f not in group] + [one]
     return tuple(sorted(out, key=lambda f: -f.gain))
 
 
@@ -119,11 +154,12 @@ def _probability(selection: Selection, k: int, ties: Sequence[Tie], explained: f
 
 
 def explained_share(selection: Selection) -> float:
-    """Share of the nominal model's energy above noise that the chosen set removes, at its own level."""
-    best, workspace = selection.best, selection.best.workspace
-    first = workspace.rest(selection.nothing.y) * workspace.weights
-    last = workspace.rest(best.y) * workspace.weights
-    noise = workspace.freedom / len(workspace.temper) * float(np.sum(1.0 / workspace.temper))
+    """Share of the nominal model's energy above noise that the chosen set removes, every balance counting
+    by what it first lacked."""
+    best, level = selection.best, selection.nothing.workspace
+    first = best.workspace.rest(selection.nothing.y) * level.weights
+    last = best.workspace.rest(best.y) * level.weights
+    noise = level.noise_energy
     excess = max(float(first @ first) - noise, 1e-300)
     return float(np.clip(1.0 - max(float(last @ last) - noise, 0.0) / excess, 0.0, 1.0))
 
@@ -194,11 +230,3 @@ def ranking(selection: Selection) -> tuple[Ranked, ...]:
             )
         )
     return tuple(out)
-
-
-def material_share(workspace: Workspace, best: Fit) -> list[float]:
-    """Torque share of every chosen effect."""
-    return [torque_share(workspace, best.effects, k) for k in range(len(best.effects))]
-
-
-__all__ = ["Scored", "findings", "price"]

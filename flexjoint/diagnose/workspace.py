@@ -23,9 +23,10 @@ from flexjoint.effect import Planned, Signals
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
-PLAUSIBLE = 5.0  # prior deviations up to which a nominal number may be off before a cause must be sought
+PLAUSIBLE = 2.5  # prior deviations up to which a nominal number may be off before a cause must be sought
 NOISY = 3.0  # temper above which sensor noise no longer decides anything
 TEMPER_ROUNDS = 12
+TELLING = 100.0  # energy that must remain, for a cause to be able to earn its price
 FEWEST = 100  # independent samples that a recording is credited with at least
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
 
@@ -82,8 +83,10 @@ class Workspace:
             if np.all(levels <= 1.02 * here.temper):
                 break
             here = here.at(np.maximum(levels, here.temper))
-        while np.max(np.abs(here.deviations(y)), initial=0.0) > PLAUSIBLE and here.temper[0] < 1e15:
+        while np.max(np.abs(here.deviations(y)), initial=0.0) > PLAUSIBLE and here.energy(y) > 2.0 * TELLING:
             here = here.at(2.0 * here.temper)
+        if here.energy(y) <= 2.0 * TELLING:
+            return here
         return here.at(np.maximum(here.temper, here._levels(y)))
 
     def _levels(self, y: np.ndarray) -> np.ndarray:
@@ -148,9 +151,8 @@ class Workspace:
         """Q(y, y), evaluated in full (noise and all) and whitened for the noise of the model that it implies,
         where that is another than the nominal one's."""
         pull = self.deviations(y)
-        near = np.max(np.abs(pull), initial=0.0) < FAR_OFF
-        sharp = np.max(self.temper) < NOISY
-        if not sharp or (near and not any(whitening.changes_noise(e) for e in effects)):
+        far = np.max(self.temper) < NOISY and np.max(np.abs(pull), initial=0.0) > FAR_OFF
+        if not far and not any(whitening.changes_noise(e) for e in effects):
             return self.energy(y)
         shifted = as_effects(self.nuisance, -pull, self.motion.rigid.inertial, self.robot)
         held = [*self.with_nominal(effects), *shifted]
@@ -162,7 +164,8 @@ class Workspace:
         return float(residual @ residual) + float(pull @ pull)
 
     def _linear_part(self, pull: np.ndarray) -> np.ndarray:
-        other = [k for k, n in enumerate(self.nuisance) if n.name not in NUMBERS and n.name != "inertial"]
+        moved = (*NUMBERS, "inertial", "link_encoder_offset", "motor_encoder_offset")
+        other = [k for k, n in enumerate(self.nuisance) if n.name not in moved]
         return pull[other] @ self.J[other] if other else np.zeros(self.samples)
 
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
