@@ -93,29 +93,31 @@ def enumerate_candidates(workspace: Workspace, excluded: frozenset[str] = frozen
 def visible(workspace: Workspace, candidate: Candidate) -> bool:
     """Whether the effect acts on something that this recording balances or measures."""
     effect, joint = candidate.effect, candidate.joint
-    balances = workspace.balances
     if joint is None:
         return True
     i = workspace.robot.joint_names.index(joint)
     rigid = workspace.robot.joints[i].rigid
-    rows = {row.balance for row in balances.rows if row.joint == i}
-    if effect.needs_spring and rigid:
-        return False
-    if effect.site is Site.COMMAND:
-        return MOTOR in rows
-    if effect.site is Site.MOTOR:
-        return MOTOR in rows
-    if effect.site in (Site.DEFLECTION, Site.SPRING):
-        return not rigid
-    if effect.site in (Site.LINK, Site.BODY):
-        return LINK in rows or (rigid and MOTOR in rows)
+    rows = {row.balance for row in workspace.balances.rows if row.joint == i}
+    if effect.site is Site.SENSOR:
+        return _sensed(workspace, candidate, i, rows)
+    shown = {
+        Site.COMMAND: MOTOR in rows,
+        Site.MOTOR: MOTOR in rows,
+        Site.DEFLECTION: not rigid,
+        Site.SPRING: not rigid,
+        Site.LINK: LINK in rows or (rigid and MOTOR in rows),
+        Site.BODY: LINK in rows or (rigid and MOTOR in rows),
+    }
+    return shown[effect.site] and not (effect.needs_spring and rigid)
+
+
+def _sensed(workspace: Workspace, candidate: Candidate, i: int, rows: set[str]) -> bool:
     readings = {
         "q": bool(np.isfinite(workspace.readings.q[i, 0])),
         "theta": bool(np.isfinite(workspace.readings.theta[i, 0])),
         "tau_t": SPRING in rows,
     }
-    wanted = effect.channels(candidate.planned({}).p)
-    concerned = [c for c in wanted if c in readings]
+    concerned = [c for c in candidate.effect.channels(candidate.planned({}).p) if c in readings]
     if candidate.words and len(concerned) > 1:  # "all of the joint" needs more than one sensor to differ
         return sum(readings[c] for c in concerned) > 1
     return any(readings[c] for c in concerned)
@@ -153,7 +155,9 @@ def _trace(
     effect = candidate.effect
     given = [p.name for p in effect.nulls if p.name in start]
     without = [e for e in base if e.key != candidate.key]
-    origin = {p.name: p.null if listed is None else listed.values[p.name] for p in effect.nulls}
+    origin: dict[str, float] = {
+        p.name: float(p.null or 0.0) if listed is None else float(listed.values[p.name]) for p in effect.nulls
+    }
 
     def column(values: Mapping[str, Any]) -> np.ndarray:
         return workspace.moved(base, [*without, candidate.planned(values)])

@@ -105,8 +105,8 @@ class Chains:
             reading = self._filtered(tau_t)
         change = q_hat - base.q_hat if sensed and q is not base.q else None
         if joint.rigid:
-            motor_hat, link_hat = motor_hat + link_hat, np.zeros_like(link_hat)
-        return Chain(motor_hat, spring_hat, link_hat, reading, change)
+            motor_hat, link_hat = motor_hat + link_hat, 0.0
+        return Chain(motor_hat, spring_hat, link_hat + np.zeros_like(spring_hat), reading, change)
 
     # ------------------------------------------------------------------ sites
     def _true_readings(self, i: int, sensors: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

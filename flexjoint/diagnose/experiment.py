@@ -16,7 +16,7 @@ def advice(
     left: Sequence[Unexplained],
     blind: Sequence[tuple[str, str | None]],
 ) -> str:
-    """One or two sentences: the sensor, load or motion that would break a tie or show what was not excited."""
+    """A sentence: the sensor, load or motion that would break a tie or show what was not excited."""
     tied = [f for f in findings if f.indistinguishable]
     lacking = [
         f"{channel}.{joint.name}"
@@ -27,18 +27,19 @@ def advice(
     if tied:
         first = tied[0]
         rivals = ", ".join(_name(t.effect, t.joint) for t in first.indistinguishable)
-        extra = f"measure {lacking[0]} too" if lacking else "repeat the motion with a known payload"
+        own = [name for name in lacking if name.endswith(f".{first.joint}")] or lacking
+        extra = f"measure {own[0]} too" if own else "repeat the motion with a known payload"
         return f"To tell {_name(first.effect, first.joint)} from {rivals}: {extra}."
     if left:
         worst = left[0]
         return (
-            f"Record slow and fast sweeps of {worst.joint} over its whole range: the leftover of its"
+            f"Record slow and fast sweeps of {worst.joint} over its whole range: what is left of its"
             f" {worst.balance} balance depends on {worst.against}."
         )
     if blind:
         joints = sorted({joint for _, joint in blind if joint is not None})
         where = f" of {', '.join(joints)}" if joints else ""
-        return f"For the effects that were not excited: a motion{where} with reversals, high load and full range."
+        return f"For what was not excited: a motion{where} with reversals, high load and full range."
     return ""
 
 

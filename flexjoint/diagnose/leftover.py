@@ -10,20 +10,20 @@ from scipy.interpolate import BSpline
 from flexjoint.diagnose.fit import Fit
 from flexjoint.diagnose.nuisance import as_effects
 from flexjoint.diagnosis import ResidualView, Unexplained
+from flexjoint.effect import Planned, Site
 
 KNOTS = 8  # of the spline through which a leftover is regressed on a signal
 ABOVE_NOISE = 1.5  # deviations of the predicted noise below which a leftover is none
 
 
-def views(best: Fit) -> tuple[ResidualView, ...]:
-    """Residual of every balance [N m] before and after, with the signals it may depend on."""
+def views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
+    """Residual of every balance [N m] before and after, with the signals it may depend on. Encoder offsets
+    that are free in each recording are taken out of both."""
     workspace = best.workspace
     balances, used = workspace.balances, workspace.readings.valid
-    shifted = as_effects(
-        workspace.nuisance, -workspace.deviations(best.y), workspace.motion.rigid.inertial, workspace.robot
-    )
-    before = balances.time_series(balances.residual(workspace.nominal))[:, used]
-    held = [*workspace.with_nominal(best.effects), *shifted]
+    offsets = [e for e in _shifts(nothing) if e.effect.site is Site.SENSOR]
+    before = balances.time_series(balances.residual([*workspace.nominal, *offsets]))[:, used]
+    held = [*workspace.with_nominal(best.effects), *_shifts(best)]
     after = balances.time_series(balances.residual(held))[:, used]
     noise = workspace.whitening.deviation
     out = []
@@ -40,6 +40,24 @@ def views(best: Fit) -> tuple[ResidualView, ...]:
         }
         out.append(ResidualView(joint.name, row.balance, signals.t, old, new, float(expected), axes))
     return tuple(out)
+
+
+def _shifts(result: Fit) -> list[Planned]:
+    """What the nominal numbers' own tolerances take on, as effects."""
+    workspace = result.workspace
+    pull = workspace.deviations(result.y)
+    return as_effects(workspace.nuisance, -pull, workspace.motion.rigid.inertial, workspace.robot)
+
+
+def explained(best: Fit, residuals: tuple[ResidualView, ...]) -> float:
+    """Share of the squared error above noise that is gone, averaged over the balances that had one; 1 where
+    none had."""
+    workspace, shares = best.workspace, []
+    for row, view in zip(workspace.balances.rows, residuals, strict=True):
+        first, left = (float(np.mean(x**2)) - view.noise**2 for x in (view.before, view.after))
+        if first > (workspace.robot.tolerance.torque * float(workspace.torque_scale[row.joint])) ** 2:
+            shares.append(1.0 - float(np.clip(left / first, 0.0, 1.0)))
+    return float(np.mean(shares)) if shares else 1.0
 
 
 def unexplained(best: Fit, residuals: tuple[ResidualView, ...]) -> tuple[Unexplained, ...]:

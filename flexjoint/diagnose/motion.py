@@ -98,8 +98,8 @@ def _passive(robot: Robot, readings: Readings, recording: Recording) -> dict[str
             continue
         if not recording.has("q", name):
             raise RecordingError(
-                f"{recording.name}: joint {name} is passive and not measured; add q.{name} or list it under lock"
-                " or joints in the robot YAML"
+                f"{recording.name}: joint {name} is passive and not measured; add q.{name} or list it"
+                " under lock or joints in the robot YAML"
             )
         values = recording.get("q", name)
         present = np.isfinite(values)
@@ -217,17 +217,24 @@ def along(
     )
     at, v, a = whole_motion(robot, window, q, passive, 1.0)
     by_q, by_v, mass = body.rnea_derivatives_batch(at, v, a)
-    pick = np.ix_(range(count), rows, rows)
+    pick = np.ix_(np.arange(count), np.array(rows), np.array(rows))
     bodies = np.concatenate([10 * (joint.pin_id - 1) + np.arange(10) for joint in robot.joints])
-    regressor = body.regressor_batch(at, v, a)[np.ix_(range(count), rows, bodies)]
+    regressor = body.regressor_batch(at, v, a)[np.ix_(np.arange(count), np.array(rows), bodies)]
     still = np.zeros_like(v)
     by_gravity = np.stack(
         [PinBody(model, gravity=axis).rnea_batch(at, still, still)[:, rows].T for axis in np.eye(3)]
     )
     inertial = body.inertial[[joint.pin_id - 1 for joint in robot.joints]]
     return Rigid(
-        2.0 * quarter - half, by_q[pick], by_v[pick], mass[pick], regressor, by_gravity, inertial, robot.gravity
-    )  # fmt: skip
+        2.0 * quarter - half,
+        by_q[pick],
+        by_v[pick],
+        mass[pick],
+        regressor,
+        by_gravity,
+        inertial,
+        robot.gravity,
+    )
 
 
 def _back(window: Filter, spectrum: np.ndarray) -> np.ndarray:

@@ -23,14 +23,13 @@ SAME = 3.0  # deviations within which joints share one value
 NOTABLE = 2.0  # prior deviations of a nominal number that are worth a line
 
 
-def findings(selection: Selection, gains: Sequence[float]) -> tuple[Finding, ...]:
+def findings(selection: Selection, gains: Sequence[float], explained: float) -> tuple[Finding, ...]:
     """The chosen effects as findings, the largest gain first."""
     best = selection.best
     if not best.effects:
         return ()
     spread = standard_errors(best)
-    explained = explained_share(selection)
-    out = []
+    out: list[Finding] = []
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
@@ -46,8 +45,8 @@ def findings(selection: Selection, gains: Sequence[float]) -> tuple[Finding, ...
                 str(planned.effect.kind),
                 planned,
                 ties,
-                _hidden_by_refit(selection, k),
-                "change against the nominal model's own entry" if listed is not None else "",
+                hidden_by_refit=_hidden_by_refit(selection, k),
+                note="change against the nominal model's own entry" if listed is not None else "",
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain))
@@ -61,15 +60,17 @@ def merged(found: Sequence[Finding], candidates: Sequence[Candidate]) -> tuple[F
         if f.kind == Kind.TIMING and f.joint is not None:
             words = tuple(f.planned.values.get(w.name) for w in f.planned.effect.words)
             groups.setdefault((f.effect, words), []).append(f)
-    for (effect, words), group in groups.items():  # type: ignore[misc]
+    for group in groups.values():
+        effect, words = group[0].effect, tuple(v for v in group[0].parameters.values() if isinstance(v, str))
         joints = {
             c.joint for c in candidates if c.effect.name == effect and tuple(v for _, v in c.words) == words
         }
         if len(group) < 2 or {f.joint for f in group} != joints or any(f.since is not None for f in group):
             continue
         name = group[0].planned.effect.nulls[0].name
-        values = np.array([f.parameters[name].value for f in group], dtype=float)  # type: ignore[union-attr]
-        weights = np.array([f.parameters[name].std for f in group], dtype=float) ** -2.0  # type: ignore[union-attr]
+        fitted = [p for p in (f.parameters[name] for f in group) if isinstance(p, Fitted)]
+        values = np.array([np.ravel(p.value)[0] for p in fitted])
+        weights = np.array([max(float(np.ravel(p.std)[0]), 1e-12) ** -2.0 for p in fitted])
         mean = float(np.sum(weights * values) / np.sum(weights))
         if np.any(np.abs(values - mean) * np.sqrt(weights) > SAME):
             continue
@@ -125,7 +126,7 @@ def _parameters(
 def _ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]:
     """Rivals that fit as well. One that merely contains the found effect is no rival of it."""
     margin = TIE + 0.05 * leftover(best)
-    out = []
+    out: list[Tie] = []
     for rival in rivals:
         other = rival.effects[-1]
         behind = score(rival) - score(best)
@@ -135,8 +136,8 @@ def _ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]
             Tie(
                 other.effect.name,
                 other.joint,
-                f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides): with these"
-                " sensors and this motion both leave the same trace",
+                f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides): with"
+                " these sensors and this motion both leave the same trace",
             )
         )
     return tuple(out)
@@ -151,17 +152,6 @@ def _probability(selection: Selection, k: int, ties: Sequence[Tie], explained: f
     margin = min((score(r) - score(best) for r in rivals if r.effects[-1].key not in tied), default=40.0)
     against = 1.0 / (1.0 + np.exp(-0.5 * np.clip(margin, -40.0, 40.0)))
     return float(np.clip(against * min(1.0, explained + 0.02) / (1 + len(ties)), 0.0, 0.999))
-
-
-def explained_share(selection: Selection) -> float:
-    """Share of the nominal model's energy above noise that the chosen set removes, every balance counting
-    by what it first lacked."""
-    best, level = selection.best, selection.nothing.workspace
-    first = best.workspace.rest(selection.nothing.y) * level.weights
-    last = best.workspace.rest(best.y) * level.weights
-    noise = level.noise_energy
-    excess = max(float(first @ first) - noise, 1e-300)
-    return float(np.clip(1.0 - max(float(last @ last) - noise, 0.0) / excess, 0.0, 1.0))
 
 
 def _hidden_by_refit(selection: Selection, k: int) -> bool:
@@ -185,7 +175,7 @@ def within_tolerance(best: Fit) -> tuple[WithinTolerance, ...]:
     workspace = best.workspace
     pull, error = -workspace.deviations(best.y), workspace.deviation_errors()
     found = {e.key for e in best.effects}
-    out = []
+    out: list[WithinTolerance] = []
     for number, value, std in zip(workspace.nuisance, pull, error, strict=True):
         if (
             number.joint is None

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import fft
 
 from flexjoint.body import inertial_of
-from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
+from flexjoint.diagnose.balances import LINK, MOTOR, Balances, Row
 from flexjoint.diagnose.motion import along
 from flexjoint.effect import Drive, Planned, Signals, Site
 from flexjoint.robot import Joint
@@ -118,29 +118,15 @@ def _transfer(
     transfer = np.zeros((omega.size, m, 4 * n), dtype=complex)
     q, theta, tau_t, torque = (k * n + np.arange(n) for k in range(4))
     links = [joint.rigid for joint in robot.joints]
+    columns = (q, theta, tau_t, torque)
     for r, row in enumerate(balances.rows):
-        i, drive = row.joint, _drive(robot.joints[row.joint], effects)
-        shaft = drive.B * s**2 + drive.D_m * s
-        if row.balance == MOTOR and links[i]:
-            transfer[:, r, torque[i]] = 1.0
-            transfer[:, r, theta[i]] = -shaft
-        else:
-            impedance = drive.K + drive.D * s
-            if row.balance == MOTOR:
-                transfer[:, r, torque[i]] = 1.0
-                transfer[:, r, theta[i]] = -shaft - impedance
-                transfer[:, r, q[i]] = impedance
-            elif row.balance == LINK:
-                transfer[:, r, theta[i]] = impedance
-                transfer[:, r, q[i]] = -impedance
-            elif row.balance == SPRING:
-                transfer[:, r, tau_t[i]] = 1.0
-                transfer[:, r, theta[i]] = -impedance
-                transfer[:, r, q[i]] = impedance
-        if row.balance == LINK or (row.balance == MOTOR and links[i]):
+        drive = _drive(robot.joints[row.joint], effects)
+        for column, entry in _row_transfer(row, drive, links[row.joint], s, columns):
+            transfer[:, r, column] = entry
+        if row.balance == LINK or (row.balance == MOTOR and links[row.joint]):
             for k in range(n):
-                column = theta[k] if links[k] else q[k]
-                transfer[:, r, column] -= by_q[i, k] + by_v[i, k] * s + mass[i, k] * s**2
+                load = by_q[row.joint, k] + by_v[row.joint, k] * s + mass[row.joint, k] * s**2
+                transfer[:, r, theta[k] if links[k] else q[k]] -= load
     noise = np.stack([readings.noise[name] for name in ("q", "theta", "tau_t", "torque")]).ravel()
     largest = max(float(np.max(noise[: 2 * n])), 1e-7)
     variances = noise**2
@@ -163,6 +149,22 @@ def _transfer(
             for j, rj in rows.items():
                 extra[:, ri, rj] += variances[q[k]] * covariance[i, j] * omega**4
     return transfer, variances, extra
+
+
+def _row_transfer(
+    row: Row, drive: Drive, rigid: bool, s: np.ndarray, columns: tuple[np.ndarray, ...]
+) -> list[tuple[int, np.ndarray | float]]:
+    """Sensitivity of one balance to the readings of its own joint (without the rigid body's load)."""
+    q, theta, tau_t, torque = (int(column[row.joint]) for column in columns)
+    shaft = drive.B * s**2 + drive.D_m * s
+    if rigid:
+        return [(torque, 1.0), (theta, -shaft)]
+    impedance = drive.K + drive.D * s
+    if row.balance == MOTOR:
+        return [(torque, 1.0), (theta, -shaft - impedance), (q, impedance)]
+    if row.balance == LINK:
+        return [(theta, impedance), (q, -impedance)]
+    return [(tau_t, 1.0), (theta, -impedance), (q, impedance)]
 
 
 def sensor_slope(e: Planned) -> float:

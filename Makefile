@@ -1,0 +1,51 @@
+# `make demo` and `make test` need Python 3.11 or newer, make, and a network to a package index the first time.
+# PYTHON=python3.12 chooses the interpreter that .venv is made with.
+
+PYTHON ?= python3
+BIN := .venv/bin
+OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
+
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: help demo test lint docs clean
+
+help:
+	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
+	@echo "make test   style, types and all tests"
+	@echo "make lint   style and types only"
+	@echo "make docs   regenerate docs/effects.md"
+	@echo "make clean  remove .venv and everything that was built"
+
+demo: .venv/.demo
+	$(BIN)/flexjoint demo
+
+test: lint
+	$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+lint: .venv/.test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+docs: .venv/.demo
+	$(BIN)/flexjoint effects --markdown > docs/effects.md.new
+	mv docs/effects.md.new docs/effects.md
+
+# installed once; again when pyproject.toml changes
+.venv/.demo: pyproject.toml | $(BIN)/python
+	@echo "installing into .venv, once; this may take some minutes"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[report]'
+	touch $@
+
+.venv/.test: pyproject.toml | $(BIN)/python
+	@echo "installing into .venv, once; this may take some minutes"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	touch $@ .venv/.demo
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "$(OLD)"; exit 1; }
+	$(PYTHON) -m venv .venv
+
+clean:
+	rm -rf .venv build dist flexjoint-demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

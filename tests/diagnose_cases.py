@@ -1,0 +1,91 @@
+"""Recordings with known causes, and their diagnoses: each made once per process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+from planting import ENCODERS, FULL, MOTOR_ONLY, RAGGED, ROBOTS, Planted, Recorded, SensorSet, plant
+
+from flexjoint import recording, robot
+from flexjoint.diagnose import diagnose
+from flexjoint.diagnosis import Diagnosis, Finding
+from flexjoint.recording import Recording
+from flexjoint.robot import Robot
+
+SECONDS = 12.0
+QUIET = {
+    name: replace(sensors, noisy_feedback=False)  # the command is smooth between two recorded samples
+    for name, sensors in {
+        "full": FULL,
+        "encoders": ENCODERS,
+        "motor_only": MOTOR_ONLY,
+        "ragged": RAGGED,
+    }.items()
+}
+NOISY_FEEDBACK = {"noisy_feedback": FULL}
+SENSORS: dict[str, SensorSet] = QUIET | NOISY_FEEDBACK
+
+
+@dataclass(frozen=True)
+class Case:
+    """A machine and its motion. `seed` draws trajectory, noise and the deviations of an inexact machine."""
+
+    robot: str
+    excitation: str
+    seed: int
+    sensors: str = "full"
+    inexact: float = 0.0
+
+    def with_causes(self, *causes: Planted) -> Recorded:
+        return plant(
+            ROBOTS / f"{self.robot}.yaml",
+            list(causes),
+            self.excitation,
+            SECONDS,
+            self.seed,
+            SENSORS[self.sensors],
+            inexact=self.inexact,
+        )
+
+    @property
+    def name(self) -> str:
+        parts = [self.robot, self.excitation]
+        parts += [self.sensors] if self.sensors != "full" else []
+        parts += ["inexact"] if self.inexact else []
+        return "-".join(parts)
+
+
+@cache
+def nominal(name: str) -> Robot:
+    """A robot of the planting as the package reads it."""
+    return robot.load(ROBOTS / f"{name}.yaml")
+
+
+def as_recording(recorded: Recorded, name: str = "planted") -> Recording:
+    columns = {tuple(k.split(".", 1)): v for k, v in recorded.columns.items() if k != "time"}
+    return recording.make(recorded.columns["time"], columns, name)
+
+
+def found_in(case: Case, *causes: Planted, excluded: frozenset[str] = frozenset()) -> Diagnosis:
+    recorded = as_recording(case.with_causes(*causes), case.name)
+    return diagnose(nominal(case.robot), [recorded], excluded=excluded)
+
+
+def summary(diagnosis: Diagnosis) -> str:
+    """One line for a failing test: verdict, energies per sample and what was named."""
+    before, after = diagnosis.energy
+    named = "; ".join(_line(f) for f in diagnosis.findings) or "nothing"
+    left = ", ".join(f"{u.joint}/{u.balance} {u.share:.2g}" for u in diagnosis.unexplained)
+    numbers = f"energy {before:.3g} -> {after:.3g}, explained {diagnosis.explained:.4f}"
+    return f"{diagnosis.verdict}, {numbers}: {named}" + (f"; unexplained {left}" if left else "")
+
+
+def _line(finding: Finding) -> str:
+    values = ", ".join(
+        f"{k}={v}" if isinstance(v, str) else f"{k}={v.value} +- {v.std}"
+        for k, v in finding.parameters.items()
+    )
+    ties = ", ".join(f"{t.effect}/{t.joint}" for t in finding.indistinguishable)
+    since = "" if finding.since is None else f" since {finding.since:.2f}"
+    return f"{finding.effect}/{finding.joint} p={finding.probability:.2f} ({values}){since} ~ [{ties}]"
