@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+COARSE = 3.0  # steps of a quantised signal that its noise spans, below which it counts as coarse
+JERKY = 1.3  # ratio of mean square to median, from which rare jerks are at work
+
 
 def white_noise(samples: np.ndarray) -> float:
     """Standard deviation of the white part of a signal, from its fourth differences, which no smooth
@@ -18,7 +21,12 @@ def white_noise(samples: np.ndarray) -> float:
     # the variance of the fourth difference of white noise is 1 + 16 + 36 + 16 + 1 = 70 times its own
     spread = float(np.sqrt(np.mean(fourth**2) / 70.0))
     robust = float(np.median(np.abs(fourth)) / 0.6745 / np.sqrt(70.0))
-    return max(min(spread, robust) if robust > 0 else spread, _quantum(x) / np.sqrt(12.0))
+    quantum = _quantum(x)
+    # the median of a coarsely quantised signal is itself a multiple of the step: then the mean square is
+    # better, unless jerks blow it up
+    coarse = robust < COARSE * quantum and spread < JERKY * robust
+    white = spread if coarse or robust == 0.0 else min(spread, robust)
+    return max(white, quantum / np.sqrt(12.0))
 
 
 def _quantum(x: np.ndarray) -> float:

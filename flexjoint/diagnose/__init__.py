@@ -21,7 +21,7 @@ from flexjoint.errors import RecordingError, unknown
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
-EXPLAINED = 0.5  # of the energy above noise, below which the causes found are not the story
+EXPLAINED = 0.9  # of the error above noise, below which the causes found are not the whole story
 SHORTEST = 1.0  # s of usable data
 STILL = 20.0  # encoder noises that a joint must move, for anything to be said
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -22,9 +22,13 @@ def views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
     workspace = best.workspace
     balances, used = workspace.balances, workspace.readings.valid
     offsets = [e for e in _shifts(nothing) if e.effect.site is Site.SENSOR]
-    before = balances.time_series(balances.residual([*workspace.nominal, *offsets]))[:, used]
+
+    def series(effects: Sequence[Planned]) -> np.ndarray:
+        return balances.time_series(balances.residual(effects))[:, used]
+
+    before = series([*workspace.nominal, *offsets])
     held = [*workspace.with_nominal(best.effects), *_shifts(best)]
-    after = balances.time_series(balances.residual(held))[:, used]
+    after = series(held)
     noise = workspace.whitening.deviation
     out = []
     for row, old, new, expected in zip(balances.rows, before, after, noise, strict=True):

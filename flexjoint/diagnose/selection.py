@@ -112,7 +112,8 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
     out: list[Fit] = []
     if not scanned:
         return out
-    enough = max(PROMISING * scanned[0].removes, RIVALLING * needed, 1.0)
+    most = scanned[0].removes  # to first order; what is `needed` may lie beyond it
+    enough = max(PROMISING * most, RIVALLING * min(needed, most), 1.0)
     for scored in scanned[:POLISHED]:
         if scored.removes >= enough:
             out.append(fit(current.workspace, [*current.effects, scored.planned()]))

@@ -65,8 +65,6 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     # the numerical floor is white: spread over the whole sampled band like any sensor's noise
     spectrum[:, rows, rows] += (FLOOR * torque_scale) ** 2
     own = np.einsum("faa->fa", spectrum).real
-    # the band holds all that the filter passes; rfft bins above it count as nothing
-    deviation = np.sqrt(np.sum(own, axis=0) / window.omega.size)
     spectrum[:, rows, rows] += ROUNDING * own  # balances that share one noise are nearly dependent
     factor = np.linalg.cholesky(spectrum)
     matrix = np.linalg.inv(factor)
@@ -92,8 +90,18 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
         times[keep],
         len(balances.rows) - len(balances.motion.missing),
         scale,
-        deviation,
+        _deviation(balances, effects, torque_scale),
     )
+
+
+def _deviation(balances: Balances, effects: Sequence[Planned], torque_scale: np.ndarray) -> np.ndarray:
+    """(m,) standard deviation of the filtered balances' noise, beyond the band too (spectra are smooth: every
+    eighth bin will do)."""
+    window = balances.filter
+    omega, gain = window.omega[::8], window.gain[::8]
+    transfer, variances, extra = _transfer(balances, omega, effects)
+    own = np.abs(transfer) ** 2 @ variances + np.einsum("faa->fa", extra).real
+    return np.sqrt(np.mean(own * (gain**2)[:, None], axis=0) + (FLOOR * torque_scale) ** 2)
 
 
 def _window(balances: Balances) -> np.ndarray:
