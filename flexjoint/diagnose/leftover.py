@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -13,6 +14,7 @@ from flexjoint.diagnosis import ResidualView, Unexplained
 from flexjoint.effect import Planned, Site
 
 KNOTS = 8  # of the spline through which a leftover is regressed on a signal
+STRAINED = 3.0  # times the predicted noise that a model is granted because its numbers are implausible
 ABOVE_NOISE = 1.5  # deviations of the predicted noise below which a leftover is none
 
 
@@ -65,10 +67,13 @@ def explained(best: Fit, residuals: tuple[ResidualView, ...]) -> float:
 
 
 def unexplained(best: Fit, residuals: tuple[ResidualView, ...]) -> tuple[Unexplained, ...]:
-    """Balances whose leftover is beyond noise and beyond the robot's torque tolerance."""
+    """Balances whose leftover is beyond noise and beyond the robot's torque tolerance. Where nothing was
+    found and only implausible nominal numbers would explain the error, the whole error is left over."""
     workspace = best.workspace
+    strained = not best.effects and float(np.max(workspace.temper)) > STRAINED
     found = []
-    for row, view in zip(workspace.balances.rows, residuals, strict=True):
+    for row, seen in zip(workspace.balances.rows, residuals, strict=True):
+        view = replace(seen, after=seen.before) if strained else seen
         left, first = float(np.sqrt(np.mean(view.after**2))), float(np.sqrt(np.mean(view.before**2)))
         # a mean is what offset-free recordings leave; what varies counts
         floor = workspace.robot.tolerance.torque * float(workspace.torque_scale[row.joint])
