@@ -203,9 +203,11 @@ def _open_ends(say: _Printer, diagnosis: Diagnosis) -> None:
             f" it depends most on {signal_name(left.against)}."
         )
     if diagnosis.not_excited:
-        names = dict.fromkeys(effect_name(effect) for effect, _ in diagnosis.not_excited)
+        joints: dict[str, list[str]] = {}
+        for effect, joint in diagnosis.not_excited:
+            joints.setdefault(effect_name(effect), []).extend([] if joint is None else [clean(joint)])
         say.heading("Not excited, so nothing is said of")
-        say.line(sentence(", ".join(names)))
+        say.line(sentence("; ".join(f"{n} ({', '.join(j)})" if j else n for n, j in joints.items())))
     if diagnosis.within_tolerance:
         say.heading("Within the tolerance of the nominal numbers")
         sizes = (

@@ -27,7 +27,7 @@ class Scored:
     amplitude: np.ndarray
     removes: float
     since: float | None
-    sight: float  # size of the whole record's trace, in noise deviations per unit of amplitude
+    sight: float  # size of the whole record's trace, in deviations of the sensors' noise
 
     @property
     def candidate(self) -> Candidate:
@@ -95,7 +95,8 @@ def _score(trace: Trace, against: _Against) -> Scored | None:
     if trace.candidate.joint is None or removes[at] - removes[0] < ONSET_MARGIN * abs(removes[at]):
         at = 0
     since = None if at == 0 else float(against.starts[at])
-    return Scored(trace, amplitude[at], float(removes[at]), since, float(np.max(size[0])))
+    sight = float(np.sqrt(np.max(np.sum(trace.columns**2, axis=1))))
+    return Scored(trace, amplitude[at], float(removes[at]), since, sight)
 
 
 class _Against:
