@@ -84,7 +84,7 @@ def test_everything_that_was_found_is_said():
         "q.elbow 0.2 0.02 90% 0.01",
         "2 more channels",
         "4.0% of the spring balance's error at elbow; it depends most on motor position theta.",
-        "Not excited, so nothing is said of end stop (elbow, shoulder); cable spring (elbow).",
+        "Not excited, so nothing is said of end stop (elbow, a).",
         "payload at elbow 0.008 kg",
         "Encoder offsets were estimated.",
         "Next experiment Load the elbow from both sides.",
