@@ -15,6 +15,7 @@ from flexjoint.effect import Planned, Site
 
 KNOTS = 8  # of the spline through which a leftover is regressed on a signal
 STRAINED = 3.0  # times the predicted noise that a model is granted because its numbers are implausible
+CLEAR = 3.0  # torque tolerances by which a balance must be off to count in the share explained
 ABOVE_NOISE = 1.5  # deviations of the predicted noise below which a leftover is none
 
 
@@ -61,7 +62,8 @@ def explained(best: Fit, residuals: tuple[ResidualView, ...]) -> float:
     workspace, shares = best.workspace, []
     for row, view in zip(workspace.balances.rows, residuals, strict=True):
         first, left = (float(np.mean(x**2)) - view.noise**2 for x in (view.before, view.after))
-        if first > (workspace.robot.tolerance.torque * float(workspace.torque_scale[row.joint])) ** 2:
+        floor = workspace.robot.tolerance.torque * float(workspace.torque_scale[row.joint])
+        if first > max((CLEAR * floor) ** 2, view.noise**2):  # a balance that was clearly wrong
             shares.append(1.0 - float(np.clip(left / first, 0.0, 1.0)))
     return float(np.mean(shares)) if shares else 1.0
 
