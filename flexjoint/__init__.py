@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from flexjoint.robot import Robot
     from flexjoint.robot import load as load_robot
     from flexjoint.robot import write as write_robot
+    from flexjoint.symbolic_functions import rigid_body_functions
 
 __all__ = [
     "Comparison",
@@ -35,6 +36,7 @@ __all__ = [
     "load_robot",
     "plan",
     "read_recording",
+    "rigid_body_functions",
     "write_recording",
     "write_robot",
 ]
@@ -47,6 +49,7 @@ _PLACES = {
     "FlexibleJointModel": ("model", "FlexibleJointModel"),
     "Recording": ("recording", "Recording"),
     "Robot": ("robot", "Robot"),
+    "rigid_body_functions": ("symbolic_functions", "rigid_body_functions"),
     "catalogue": ("effect", "catalogue"),
     "load_robot": ("robot", "load"),
     "plan": ("effect", "plan"),

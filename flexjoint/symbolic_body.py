@@ -7,7 +7,6 @@ convention on accelerations that leaves linear velocities out.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -21,9 +20,10 @@ from flexjoint.body import (
     frames_by_name,
     inertial_of,
     read_only,
-    refuse_mimic,
 )
-from flexjoint.errors import ModelError, unknown
+from flexjoint.errors import ModelError
+from flexjoint.symbolic_coriolis import coriolis_matrix
+from flexjoint.symbolic_functions import make_function
 from flexjoint.symbolic_joints import Joint, joints_of
 from flexjoint.symbolic_spatial import (
     Placement,
@@ -55,21 +55,27 @@ class SymbolicBody:
 
     Args:
         model: copied; never written on. Joints: revolute, unbounded revolute, prismatic (aligned or not),
-            translation, spherical, planar, free-flyer.
+            translation, spherical, planar, free-flyer, and revolute or prismatic ones that mimic another.
         inertial: (njoints - 1, 10) symbols, expressions or numbers that replace the model's inertial
             parameters: m, m c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the joint frame's origin, SI.
         gravity: (3,) linear gravity in base axes that replaces the model's [m/s^2].
+        armature: (nv,) rotor inertias that replace the model's [kg m^2].
 
     Raises:
-        ModelError: a joint of another type (named with it), a mimic joint, arguments of the wrong shape.
+        ModelError: a joint of another type (named with it), arguments of the wrong shape.
     """
 
-    def __init__(self, model: pin.Model, inertial: Parameters = None, gravity: Parameters = None) -> None:
-        refuse_mimic(model)
+    def __init__(
+        self,
+        model: pin.Model,
+        inertial: Parameters = None,
+        gravity: Parameters = None,
+        armature: Parameters = None,
+    ) -> None:
         self.nq: int = model.nq
         self.nv: int = model.nv
         self.neutral: np.ndarray = read_only(pin.neutral(model))
-        self.armature: np.ndarray = read_only(model.armature)
+        self.armature: np.ndarray | ca.SX = _armature(model, armature)
         self.inertial: ca.SX = _inertial_expression(model, inertial)
         self.gravity: ca.SX = _gravity_expression(model, gravity)
         self._model = model.copy()
@@ -87,10 +93,13 @@ class SymbolicBody:
 
         The articulated-body algorithm (Featherstone 2008, table 7.1). A joint of several degrees of freedom
         is eliminated one axis after the other, which is the LDL' factorisation of its D without ever
-        forming it.
+        forming it. With mimic joints, bodies no longer move independently, and the mass matrix is solved.
         """
         q, v, tau = self._column(q, "q"), self._column(v, "v"), self._column(tau, "tau")
-        armature = self._column(armature, "armature") + ca.SX(self.armature)
+        armature = self._column(armature, "armature")
+        if any(joint.mimics for joint in self._joints):
+            return _solved(self.mass_matrix(q) + ca.diag(armature), tau - self.nle(q, v))
+        armature = armature + ca.SX(self.armature)
         motion = self._motion(q, v)
         inertias = [inertia.matrix() for inertia in self._inertias]
         biases = [self._bias(k, motion) for k in range(len(self._joints))]
@@ -115,8 +124,10 @@ class SymbolicBody:
 
         result = ca.SX.zeros(self.nv)
         accelerations: list[ca.SX] = []
+        base = self._base_acceleration()
         for k, joint in enumerate(self._joints):
-            acceleration = motion.placements[k].acceleration_to_child(self._of_parent(accelerations, joint))
+            parent_acceleration = accelerations[joint.parent - 1] if joint.parent else base
+            acceleration = motion.placements[k].acceleration_to_child(parent_acceleration)
             acceleration = acceleration + motion.products[k]
             for axis, dof in reversed(_axes(joint)):
                 result[dof] = inverses[dof] * (forces[dof] - columns[dof].T @ acceleration)
@@ -127,21 +138,25 @@ class SymbolicBody:
     def rnea(self, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
         """Joint forces (nv,) of the acceleration a, the model's own armature included."""
         q, v, a = self._column(q, "q"), self._column(v, "v"), self._column(a, "a")
+        return self._newton_euler(q, v, a, self._base_acceleration()) + ca.SX(self.armature) * a
+
+    def _newton_euler(self, q: ca.SX, v: ca.SX, a: ca.SX, base: ca.SX) -> ca.SX:
+        """Joint forces (nv,) without the armature's, the base accelerating by base (6,)."""
         motion = self._motion(q, v)
         wrenches = [
             inertia.wrench(acceleration) + self._bias(k, motion)
             for k, (inertia, acceleration) in enumerate(
-                zip(self._inertias, self._accelerations(motion, a), strict=True)
+                zip(self._inertias, self._accelerations(motion, a, base), strict=True)
             )
         ]
         tau = ca.SX.zeros(self.nv)
         for k in reversed(range(len(self._joints))):
             joint = self._joints[k]
-            tau[joint.v] = ca.SX(joint.axes).T @ wrenches[k]
+            tau[joint.v] += ca.SX(joint.axes).T @ wrenches[k]
             if joint.parent:
                 moved = motion.placements[k].wrench_to_parent(wrenches[k])
                 wrenches[joint.parent - 1] = wrenches[joint.parent - 1] + moved
-        return tau + ca.SX(self.armature) * a
+        return tau
 
     def nle(self, q: ca.SX, v: ca.SX) -> ca.SX:
         """Coriolis, centrifugal and gravity forces (nv,)."""
@@ -150,6 +165,15 @@ class SymbolicBody:
     def gravity_torque(self, q: ca.SX) -> ca.SX:
         """Joint forces (nv,) that hold q at rest."""
         return self.rnea(q, ca.SX.zeros(self.nv), ca.SX.zeros(self.nv))
+
+    def coriolis_torque(self, q: ca.SX, v: ca.SX) -> ca.SX:
+        """Coriolis and centrifugal forces (nv,)."""
+        q, v = self._column(q, "q"), self._column(v, "v")
+        return self._newton_euler(q, v, ca.SX.zeros(self.nv), ca.SX.zeros(6))
+
+    def coriolis_matrix(self, q: ca.SX, v: ca.SX) -> ca.SX:
+        """C (nv, nv) of the Christoffel symbols: C v is coriolis_torque, M' - 2 C is skew."""
+        return coriolis_matrix(self._joints, self._inertias, self._column(q, "q"), self._column(v, "v"))
 
     def mass_matrix(self, q: ca.SX) -> ca.SX:
         """(nv, nv), dense and symmetric, the model's own armature included (Featherstone 2008, table 6.2)."""
@@ -163,13 +187,12 @@ class SymbolicBody:
                 moved = composites[k].to_parent(placements[k])
                 composites[joint.parent - 1] = composites[joint.parent - 1] + moved
             wrench = composites[k].wrench(ca.SX(joint.axes))
-            own = ca.SX(joint.axes).T @ wrench
-            mass[joint.v, joint.v] = symmetric(own) + ca.SX(np.diag(self.armature[joint.v]))
+            mass[joint.v, joint.v] += symmetric(ca.SX(joint.axes).T @ wrench)
             for ancestor, carried in self._carried_up(k, placements, wrench):
                 block = ca.SX(ancestor.axes).T @ carried
-                mass[ancestor.v, joint.v] = block
-                mass[joint.v, ancestor.v] = block.T
-        return mass
+                mass[ancestor.v, joint.v] += block
+                mass[joint.v, ancestor.v] += block.T
+        return mass + ca.diag(ca.SX(self.armature))
 
     def regressor(self, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
         """(nv, 10 (njoints - 1)), sparse: times the stacked inertial parameters it gives rnea without the
@@ -177,12 +200,12 @@ class SymbolicBody:
         q, v, a = self._column(q, "q"), self._column(v, "v"), self._column(a, "a")
         motion = self._motion(q, v)
         result = ca.SX(self.nv, 10 * len(self._joints))
-        for k, acceleration in enumerate(self._accelerations(motion, a)):
+        for k, acceleration in enumerate(self._accelerations(motion, a, self._base_acceleration())):
             columns = slice(10 * k, 10 * k + 10)
             wrench = body_regressor(motion.spins[k], motion.centripetals[k], acceleration)
-            result[self._joints[k].v, columns] = ca.SX(self._joints[k].axes).T @ wrench
+            result[self._joints[k].v, columns] += ca.SX(self._joints[k].axes).T @ wrench
             for ancestor, carried in self._carried_up(k, motion.placements, wrench):
-                result[ancestor.v, columns] = ca.SX(ancestor.axes).T @ carried
+                result[ancestor.v, columns] += ca.SX(ancestor.axes).T @ carried
         return result
 
     # ------------------------------------------------------------------ kinematics
@@ -210,7 +233,7 @@ class SymbolicBody:
             joint, here = self._joints[parent - 1], world[parent - 1]
             linear, angular = here.rotation @ ca.SX(joint.axes[:3]), here.rotation @ ca.SX(joint.axes[3:])
             linear = linear - skew(placement.origin - here.origin) @ angular
-            jacobian[:, joint.v] = ca.vertcat(linear, angular)
+            jacobian[:, joint.v] += ca.vertcat(linear, angular)
             parent = joint.parent
         return jacobian
 
@@ -223,41 +246,11 @@ class SymbolicBody:
         total = ca.sum1(self.inertial[:, 0])
         return sum(moments, ca.SX.zeros(3)) / total
 
-    # ------------------------------------------------------------------ functions
-
     def casadi_function(self, name: str, frame: str | None = None) -> ca.Function:
         """One method as a casadi.Function with named inputs and output, for example
-        aba(q, v, tau, armature) -> a; cached.
-
-        Inertial parameters and gravity that were given as symbols become further inputs `inertial` and
-        `gravity`. `frame` is for frame_placement and frame_jacobian.
-
-        Raises:
-            UnknownNameError: no such method.
-            ModelError: a frame is missing or not asked for; inertial or gravity hold expressions instead
-                of symbols (then call the method and build the Function of their symbols yourself).
-        """
-        if name not in FUNCTIONS:
-            raise unknown("rigid-body function", name, FUNCTIONS)
-        signature = FUNCTIONS[name]
-        if (frame is not None) != signature.of_frame:
-            raise ModelError(f"{name} {'needs a' if signature.of_frame else 'takes no'} frame, got {frame!r}")
+        aba(q, v, tau, armature) -> a; cached. See symbolic_functions.make_function."""
         if (name, frame) not in self._functions:
-            inputs = [ca.SX.sym(entry, self.nq if entry == "q" else self.nv) for entry in signature.inputs]
-            names = list(signature.inputs)
-            method: Callable[..., ca.SX] = getattr(self, name)
-            output = method(*inputs) if frame is None else method(*inputs, frame)
-            for entry, value in (("inertial", self.inertial), ("gravity", self.gravity)):
-                if ca.symvar(value):
-                    if not value.is_valid_input():
-                        raise ModelError(
-                            f"{name}: {entry} must be plain symbols to be an input of a Function"
-                        )
-                    inputs.append(value)
-                    names.append(entry)
-            self._functions[name, frame] = ca.Function(
-                name, inputs, [ca.cse(output)], names, [signature.output]
-            )
+            self._functions[name, frame] = make_function(self, name, frame)
         return self._functions[name, frame]
 
     # ------------------------------------------------------------------ shared parts
@@ -290,15 +283,16 @@ class SymbolicBody:
             motion.products.append(ca.vertcat(product, ca.cross(carried, angular)))
         return motion
 
-    def _of_parent(self, accelerations: list[ca.SX], joint: Joint) -> ca.SX:
-        """The parent's acceleration; the base accelerates against gravity, which makes every weight."""
-        return accelerations[joint.parent - 1] if joint.parent else ca.vertcat(-self.gravity, ca.SX.zeros(3))
+    def _base_acceleration(self) -> ca.SX:
+        """(6,) against gravity, which makes every weight."""
+        return ca.vertcat(-self.gravity, ca.SX.zeros(3))
 
-    def _accelerations(self, motion: _Motion, a: ca.SX) -> list[ca.SX]:
+    def _accelerations(self, motion: _Motion, a: ca.SX, base: ca.SX) -> list[ca.SX]:
         """(6,) of each body's frame at the joint accelerations a."""
         accelerations: list[ca.SX] = []
         for placement, product, joint in zip(motion.placements, motion.products, self._joints, strict=True):
-            carried = placement.acceleration_to_child(self._of_parent(accelerations, joint))
+            parent = accelerations[joint.parent - 1] if joint.parent else base
+            carried = placement.acceleration_to_child(parent)
             accelerations.append(carried + product + joint.velocity(a))
         return accelerations
 
@@ -337,33 +331,27 @@ class SymbolicBody:
         return (world[parent - 1] @ local if parent else local), parent
 
 
-@dataclass(frozen=True)
-class Signature:
-    """The inputs and the output of a method as a casadi.Function."""
-
-    inputs: tuple[str, ...]
-    output: str
-    of_frame: bool = False
-
-
-FUNCTIONS: dict[str, Signature] = {
-    "aba": Signature(("q", "v", "tau", "armature"), "a"),
-    "rnea": Signature(("q", "v", "a"), "tau"),
-    "nle": Signature(("q", "v"), "tau"),
-    "gravity_torque": Signature(("q",), "tau"),
-    "mass_matrix": Signature(("q",), "mass"),
-    "regressor": Signature(("q", "v", "a"), "regressor"),
-    "integrate": Signature(("q", "dv"), "q_next"),
-    "frame_placement": Signature(("q",), "placement", of_frame=True),
-    "frame_jacobian": Signature(("q",), "jacobian", of_frame=True),
-    "center_of_mass": Signature(("q",), "position"),
-}
-"""What casadi_function can make."""
-
-
 def _axes(joint: Joint) -> list[tuple[ca.DM, int]]:
     """The motion axes (6,) as sparse constants, each with its index in v."""
     return [(ca.sparsify(ca.DM(joint.axes[:, k])), joint.v.start + k) for k in range(joint.axes.shape[1])]
+
+
+def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """(n,) solution for a symmetric positive definite (n, n) matrix, by LDL'."""
+    diagonal, upper, order = ca.ldl(matrix)
+    return ca.ldl_solve(right, diagonal, upper, order)
+
+
+def _armature(model: pin.Model, armature: Parameters) -> np.ndarray | ca.SX:
+    """(nv,)."""
+    if isinstance(armature, ca.SX):
+        if armature.shape != (model.nv, 1):
+            raise ModelError(f"armature: expected shape {(model.nv, 1)}, got {armature.shape}")
+        return ca.densify(armature)
+    values = np.array(model.armature if armature is None else armature, dtype=float)
+    if values.shape != (model.nv,) or not np.all(np.isfinite(values)):
+        raise ModelError(f"armature: expected {model.nv} finite numbers [kg m^2], got {armature!r}")
+    return read_only(values)
 
 
 def _inertial_expression(model: pin.Model, inertial: Parameters) -> ca.SX:

@@ -2,6 +2,9 @@
 
 Every supported joint has motion axes that are constant in its own (child) frame, so none has a velocity
 product of its own (c_J = 0 in Featherstone, Rigid Body Dynamics Algorithms, 2008, table 4.1).
+
+A mimic joint follows another joint: its position is scale x + offset, its velocity scale dx. It has no
+entries of its own in q and v: its slices are those of the joint that it follows.
 """
 
 from __future__ import annotations
@@ -41,7 +44,8 @@ class JointKind:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint and the place of its numbers in q and v. `parent` is the parent joint's index, 0 the base."""
+    """One joint and the place of its numbers in q and v. `parent` is the parent joint's index, 0 the base;
+    `mimics` whether it follows another joint, whose numbers q and v then are."""
 
     name: str
     kind: JointKind
@@ -51,6 +55,7 @@ class Joint:
     v: slice
     axes: np.ndarray
     fixed: Placement
+    mimics: bool = False
 
     def placement(self, q: ca.SX) -> Placement:
         """Of the child's frame in the parent joint's, at the whole configuration q (nq,)."""
@@ -71,14 +76,19 @@ def joints_of(model: pin.Model) -> list[Joint]:
 
     Raises ModelError that names the joint and its type where the type is not supported.
     """
+    mimics = set(model.mimicking_joints)
+    # model.mimicked_joints is not in the order of model.mimicking_joints; the place in v is shared
+    leaders = {j.idx_v: j for k, j in enumerate(model.joints) if k and k not in mimics}
     joints = []
     for index in range(1, model.njoints):
         joint, name = model.joints[index], str(model.names[index])
-        kind = KINDS.get(joint.shortname())
+        axes = _motion_subspace(model, index)
+        leader = leaders[joint.idx_v]
+        kind = _following(name, joint, leader, axes) if index in mimics else KINDS.get(joint.shortname())
         if kind is None:
             raise ModelError(
                 f"joint {name!r} has type {joint.shortname()}, which the symbolic model does not support; "
-                f"supported: {', '.join(sorted(KINDS))}. Replace it by a chain of these, or lock it"
+                f"supported: {', '.join(sorted((*KINDS, MIMIC)))}. Replace it by a chain of these, or lock it"
             )
         placement = model.jointPlacements[index]
         joints.append(
@@ -87,24 +97,48 @@ def joints_of(model: pin.Model) -> list[Joint]:
                 kind=kind,
                 index=index,
                 parent=int(model.parents[index]),
-                q=slice(joint.idx_q, joint.idx_q + joint.nq),
-                v=slice(joint.idx_v, joint.idx_v + joint.nv),
-                axes=_motion_subspace(model, index),
+                q=slice(leader.idx_q, leader.idx_q + leader.nq),
+                v=slice(leader.idx_v, leader.idx_v + leader.nv),
+                axes=axes,
                 fixed=Placement(
                     (ca.SX(clean_rotation(placement.rotation)),), ca.SX(without_dust(placement.translation))
                 ),
+                mimics=index in mimics,
             )
         )
     return joints
 
 
+def _following(name: str, joint: pin.JointModel, leader: pin.JointModel, axes: np.ndarray) -> JointKind:
+    """The kind of a mimic joint; `axes` (6, 1) holds its scale already. Pinocchio does not tell in Python of
+    which type it is apart from that: its motion axis does.
+
+    Raises ModelError where that is no turn about or shift along one axis.
+    """
+    mimic = joint.extract()
+    scale, offset = float(mimic.scaling), float(mimic.offset)
+    turns, shifts = bool(np.any(axes[3:])), bool(np.any(axes[:3]))
+    if leader.nv != 1 or axes.shape != (6, 1) or turns == shifts:
+        raise ModelError(
+            f"joint {name!r} mimics another with the factor {scale:g} in a way that the symbolic model does"
+            " not support: it takes revolute and prismatic joints that follow one by a factor other than 0"
+        )
+    place = _place_revolute if turns else _place_prismatic
+
+    def placed(axes: np.ndarray, q: ca.SX) -> Placement:
+        angle = ca.atan2(q[1], q[0]) if leader.nq == 2 else q
+        return place(axes / scale, scale * angle + offset)
+
+    return JointKind(placed, lambda q, dv: ca.SX(0, 1))
+
+
 def _motion_subspace(model: pin.Model, index: int) -> np.ndarray:
-    """(6, nv) in the child's frame, linear part first. Asked of Pinocchio's joint data, for not every joint
-    model tells its axis in Python."""
+    """(6, nv) in the child's frame, linear part first; of a mimic joint per velocity of its leader. Asked of
+    Pinocchio's joint data, for not every joint model tells its axis in Python."""
     joint = model.joints[index]
     data = joint.createData()
     joint.calc(data, pin.neutral(model))
-    return clean_rotation(np.asarray(data.S, dtype=float).reshape(6, joint.nv))
+    return clean_rotation(np.asarray(data.S, dtype=float).reshape(6, joint.nvExtended))
 
 
 def _entries(rotation: ca.SX) -> int:
@@ -193,4 +227,6 @@ KINDS: dict[str, JointKind] = {
     "JointModelPlanar": JointKind(_place_planar, _step_planar),
     "JointModelFreeFlyer": JointKind(_place_free_flyer, _step_free_flyer),
 }
-"""The supported joints, by Pinocchio's type name."""
+"""The supported joints beside mimic joints, by Pinocchio's type name."""
+
+MIMIC = "JointModelMimic"

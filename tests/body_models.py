@@ -91,9 +91,39 @@ def every_joint() -> pin.Model:
     return model
 
 
+def mimicking() -> pin.Model:
+    """A tree whose mimic joints follow a revolute, an unbounded, and a prismatic joint, ahead on the same
+    branch or on another one; beside them joints that follow nothing."""
+    rng = np.random.default_rng(6)
+    model = pin.Model()
+    axis = np.array([2.0, -3.0, 6.0]) / 7.0
+    branches = [  # parent, type
+        (0, pin.JointModelFreeFlyer()),
+        (1, pin.JointModelRY()),
+        (2, pin.JointModelRevoluteUnaligned(axis)),
+        (3, pin.JointModelPX()),
+        (1, pin.JointModelPrismaticUnaligned(axis)),
+        (5, pin.JointModelRX()),
+        (1, pin.JointModelRUBZ()),
+        (7, pin.JointModelRZ()),
+        (8, pin.JointModelRUBX()),
+    ]
+    for parent, kind in branches:
+        index = model.addJoint(parent, kind, random_placement(rng), f"{kind.shortname()}{model.njoints}")
+        model.appendBodyToJoint(index, random_inertia(rng), random_placement(rng))
+        model.addJointFrame(index)
+    for leader, follower, scale, offset in [(2, 3, -1.5, 0.2), (4, 5, 0.5, -0.1), (2, 6, 2.0, 0.0)]:
+        model = pin.transformJointIntoMimic(model, leader, follower, scale, offset)
+    model = pin.transformJointIntoMimic(model, 7, 9, 1.5, 0.4)
+    model.armature = rng.uniform(0.05, 0.5, model.nv)
+    return model
+
+
 @cache
 def robot(name: str) -> pin.Model:
     kind, _, base = name.partition("/")
+    if kind == "mimicking":
+        return mimicking()
     if kind == "one_link":
         return pin.buildModelFromXML(ONE_LINK)
     if kind == "rrbot":
@@ -105,7 +135,7 @@ def robot(name: str) -> pin.Model:
     model = (
         pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
         if base == "floating"
-        else pin.buildModelFromUrdf(str(path))
+        else pin.buildModelFromUrdf(str(path), mimic=base == "mimic")
     )
     model.armature = np.random.default_rng(0).uniform(0.0, 0.2, model.nv)
     return model

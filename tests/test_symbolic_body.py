@@ -10,7 +10,8 @@ from body_models import EXACT, ROBOTS, STATES, relative, robot, rrbot, state, sy
 
 from flexjoint.body import PinBody, inertial_of
 from flexjoint.errors import ModelError
-from flexjoint.symbolic_body import FUNCTIONS, SymbolicBody
+from flexjoint.symbolic_body import SymbolicBody
+from flexjoint.symbolic_functions import FUNCTIONS
 from flexjoint.symbolic_joints import KINDS
 
 
