@@ -7,6 +7,8 @@ not, for armature is no inertial parameter of a body.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
@@ -136,6 +138,26 @@ class PinBody:
         out = np.empty((_rows(q, v, a), self.nv))
         for k in range(len(out)):
             out[k] = pin.rnea(self._model, self._data, q[k], v[k], a[k])
+        return out
+
+    def gravity_torque_batch(self, q: np.ndarray) -> np.ndarray:
+        """(N, nv) of q (N, nq), as gravity_torque."""
+        out = np.empty((len(q), self.nv))
+        for k, row in enumerate(q):
+            out[k] = pin.computeGeneralizedGravity(self._model, self._data, row)
+        return out
+
+    def frame_jacobians_batch(self, q: np.ndarray, frames: Sequence[str]) -> np.ndarray:
+        """(N, len(frames), 6, nv) of q (N, nq), as frame_jacobian."""
+        indices = [find_frame(self._frames, frame) for frame in frames]
+        model, data = self._model, self._data
+        out = np.empty((len(q), len(frames), 6, self.nv))
+        for k, row in enumerate(q):
+            pin.computeJointJacobians(model, data, row)
+            for i, index in enumerate(indices):
+                pin.updateFramePlacement(model, data, index)
+                jacobian = pin.getFrameJacobian(model, data, index, pin.LOCAL_WORLD_ALIGNED)
+                out[k, i] = jacobian.reshape(6, self.nv)
         return out
 
     def rnea_derivatives_batch(

@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | demo | robots | effects`.
+"""The command line: `flexjoint diagnose | compare | simulate | theta-d | demo | robots | effects`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. Heavy modules are imported by the commands that need them.
@@ -86,6 +86,22 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, metavar="REC", help="recording to write (.csv or .parquet)"
     )
     simulate.set_defaults(run=_simulate)
+
+    theta_d = commands.add_parser("theta-d", help="motor positions and torques that hold given poses")
+    theta_d.add_argument("poses", type=Path, metavar="POSES", help="CSV or Parquet table with q.<joint>")
+    _robot_argument(theta_d)
+    theta_d.add_argument("--out", type=Path, required=True, metavar="OUT", help=".csv or .parquet to write")
+    theta_d.add_argument(
+        "--contact",
+        action="append",
+        default=[],
+        metavar="FRAME",
+        help="a point that carries; may be repeated",
+    )
+    theta_d.add_argument("--path", action="store_true", help="poses are a slow path: hysteresis remembers")
+    theta_d.add_argument("--max-deflection", type=float, metavar="RAD", help="largest theta - q to accept")
+    theta_d.add_argument("--details", action="store_true", help="write g.<joint> and phi.<joint>, too")
+    theta_d.set_defaults(run=_theta_d)
 
     demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
     demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
@@ -176,6 +192,12 @@ def _simulate(arguments: argparse.Namespace) -> None:
     result = simulate(FlexibleJointModel(loaded), reference).measured
     recording.write(result, arguments.out)
     print(f"wrote {arguments.out}: {result.duration:.4g} s of {', '.join(result.joints)}")
+
+
+def _theta_d(arguments: argparse.Namespace) -> None:
+    from flexjoint import cli_theta_d
+
+    cli_theta_d.run(arguments)
 
 
 def _demo(arguments: argparse.Namespace) -> None:

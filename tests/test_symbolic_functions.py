@@ -161,7 +161,7 @@ def test_unknown_names_and_joints_are_refused() -> None:
         rigid_body_functions(pin.transformJointIntoMimic(robot("rrbot"), 1, 2, 0.0, 0.1))
 
 
-# Instructions of (aba, rnea, nle, gravity, crba, coriolis, coriolis_matrix, regressor, center_of_mass), without
+# Instructions of the functions below, without
 # armature: what a call costs. The margin of 2 % is for other versions of CasADi; a 0 or 1 that stops folding
 # costs far more.
 SIZES = {
