@@ -53,15 +53,16 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def read_poses(path: Path, loaded: Robot) -> Poses:
-    """The poses of a table. Raises RecordingError naming the column or row, what was expected and what came."""
+    """The poses of a table. Raises RecordingError that names the column or row."""
     data = _read(path)
-    if not data or not len(next(iter(data.values()))):
+    rows = len(next(iter(data.values()), ()))
+    if rows == 0:
         raise RecordingError(f"{path} holds no poses; expected columns q.<joint> and one row per pose")
     time = data.pop("time", None)
     if time is not None and np.any(np.diff(time) <= 0.0):
         raise RecordingError(f"{path}: time must increase strictly; sort the table or leave the column out")
     places = _places(loaded)
-    q = np.tile(FlexibleJointModel(loaded, []).body.neutral, (len(next(iter(data.values()), time)), 1))
+    q = np.tile(FlexibleJointModel(loaded, []).body.neutral, (rows, 1))
     for name, value in loaded.file.initial.items():
         if name in places:
             q[:, places[name]] = value
@@ -92,8 +93,8 @@ def read_poses(path: Path, loaded: Robot) -> Poses:
 
 
 def columns(rest: Equilibrium, loaded: Robot, poses: Poses, details: bool) -> dict[str, np.ndarray]:
-    """The table: time where there was one, then of every actuated joint q_ref, theta_ref, tau_ff and tau_t, as
-    in a recording; with details also g and phi."""
+    """The table: time where there was one, then of every actuated joint q_ref, theta_ref, tau_ff and tau_t,
+    as in a recording; with details also g and phi."""
     out: dict[str, np.ndarray] = {} if poses.time is None else {"time": poses.time}
     places = [joint.idx_q for joint in loaded.joints]
     blocks: dict[str, np.ndarray] = {

@@ -182,7 +182,7 @@ def _nearest(part: np.ndarray, load: np.ndarray, bounded: np.ndarray, floating: 
     low[bounded] = 0.0
     weight = np.ones(len(load))
     weight[:3] = 1e4 if floating else 1.0
-    return lsq_linear(part * weight[:, None], load * weight, bounds=(low, np.inf)).x
+    return lsq_linear(part * weight[:, None], load * weight, bounds=(low, np.inf), method="bvls").x
 
 
 def _unbalanced(
@@ -197,9 +197,12 @@ def _unbalanced(
         turn = model.body.frame_placement(q, "root_joint")[:3, :3]
         force, moment = np.round(turn @ left[:3], 4) + 0.0, np.round(turn @ left[3:6], 4) + 0.0
         parts.append(f"force {_numbers(force)} N and moment {_numbers(moment)} N m about the base's origin")
-    for place, value in zip(free, left, strict=True):
-        if not (model.robot.floating and place < 6) and abs(value) > 1e-6:
-            parts.append(f"{value:.4g} N m at {model.state_names[model.nq + place].removeprefix('dq.')}")
+    rigid = model.robot.model
+    for k in range(1, rigid.njoints):
+        joint = rigid.joints[k]
+        own = np.isin(free, range(joint.idx_v, joint.idx_v + joint.nv))
+        if joint.shortname() != "JointModelFreeFlyer" and np.any(np.abs(left[own]) > 1e-6):
+            parts.append(f"{', '.join(f'{value:.4g}' for value in left[own])} N m at {rigid.names[k]}")
     pushing = " by pushing" if any(contact.pushes for contact in contacts) else ""
     return ModelError(
         f"pose {pose}: the contacts ({names}) cannot hold the robot{pushing}; left unbalanced: "

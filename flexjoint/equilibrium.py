@@ -201,10 +201,8 @@ def _command(flow: JointFlow, s: Signals, needed: np.ndarray) -> tuple[np.ndarra
     reach = np.abs(needed) + 1.0
     rises = flow.command(s, start + reach) - flow.command(s, start - reach)
     way = np.where(rises < 0.0, -1.0, 1.0)  # a gain below -1 turns the command round
-    x, found = increasing_roots(
-        lambda x: way * (flow.command(s, way * x) - needed), way * start, reach, steepness=1.0
-    )
-    tau_m = np.where(found, way * x, needed)
+    x, found = increasing_roots(lambda x: way * (flow.command(s, x) - needed), start, reach, steepness=1.0)
+    tau_m = np.where(found, x, needed)
     given = flow.command(s, tau_m) + np.zeros_like(needed)
     close = found & (np.abs(given - needed) <= REACHED * (1.0 + np.abs(needed)))
     return tau_m, np.where(close, needed, given)

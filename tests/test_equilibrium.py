@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+import pinocchio as pin
 import pytest
+import standing
 from arms import PENDULUM, PLANAR, make
 
 from flexjoint.clockwork import rollout
 from flexjoint.effect import Planned, Signals, plan
 from flexjoint.equilibrium import equilibrium, holding_torque
-from flexjoint.errors import ModelError
+from flexjoint.errors import ModelError, UnknownNameError
 from flexjoint.model import FlexibleJointModel
 
 Q = np.array([[0.3, -0.9], [-1.2, 0.4], [0.0, 0.0]])
@@ -89,3 +92,175 @@ def test_shapes_and_impossible_loads_are_refused() -> None:
     bent = FlexibleJointModel(make(PENDULUM), [softening])
     with pytest.raises(ModelError, match="cannot carry the load"):
         equilibrium(bent, np.array([[1.2]]))
+
+
+# --- batches and limits of stiffness ------------------------------------------------------------------------
+def test_a_batch_is_a_loop() -> None:
+    """And Pinocchio's gravity over K, pose by pose."""
+    model = standing.model("fixed", (plan("hardening_spring", "j_arm1_2", {"cubic": 1e8}),))
+    q = np.random.default_rng(4).uniform(-1.5, 1.5, (30, model.nq))
+    together = equilibrium(model, q)
+    data = model.robot.model.createData()
+    for k, pose in enumerate(q):
+        alone = equilibrium(model, pose)
+        for name in ("theta", "tau", "gravity", "tau_m", "deflection"):
+            # Newton's method stops for the whole batch at once
+            np.testing.assert_allclose(getattr(together, name)[k], getattr(alone, name)[0], atol=1e-13)
+        expected = pin.computeGeneralizedGravity(model.robot.model, data, pose)
+        np.testing.assert_allclose(together.tau[k], expected, rtol=0, atol=1e-12)
+    linear = [i for i, joint in enumerate(model.joints) if joint.name != "j_arm1_2"]
+    stiffness = np.array([joint.drive.K for joint in model.joints])
+    by_hand = q + together.tau / stiffness
+    np.testing.assert_allclose(together.theta[:, linear], by_hand[:, linear], rtol=0, atol=1e-14)
+
+
+def test_motors_meet_the_links_as_springs_stiffen() -> None:
+    """|theta_d - q_d| falls with 1/K, to 0 at infinity."""
+    gaps = []
+    for stiffness in (1e3, 1e4, 1e5, math.inf):
+        changes = {name: {"stiffness": stiffness} for name in ("hip", "knee")}
+        gaps.append(np.max(np.abs(equilibrium(FlexibleJointModel(make(PLANAR, changes), []), Q).theta - Q)))
+    np.testing.assert_allclose(gaps[:2], [10 * gaps[1], 10 * gaps[2]], rtol=1e-9)  # K phi is exact
+    assert gaps[3] == 0.0
+
+
+# --- springs in closed form ---------------------------------------------------------------------------------
+def test_a_hardening_spring_is_cardanos_cubic() -> None:
+    cubic, stiffness = 5e5, 800.0
+    model = FlexibleJointModel(make(PLANAR), [plan("hardening_spring", "hip", {"cubic": cubic})])
+    load = gravity(Q)[:, 0]
+    p, half = stiffness / cubic, load / cubic / 2
+    root = np.sqrt(half**2 + (p / 3) ** 3)
+    expected = np.cbrt(half + root) + np.cbrt(half - root)
+    np.testing.assert_allclose(equilibrium(model, Q).deflection[:, 0], expected, rtol=1e-12, atol=1e-15)
+
+
+def test_a_slow_path_leaves_its_hysteresis() -> None:
+    """Out and back: K phi + z carries the load throughout, z follows Dahl's exponential, and the hanging
+    pendulum comes back to a deflection that is not 0."""
+    level, scale, stiffness = 3.0, 4e-3, 340.0
+    effect = plan("spring_hysteresis", "joint", {"level": level, "scale": scale})
+    model = FlexibleJointModel(make(PENDULUM), [effect])
+    q = np.concatenate([np.linspace(0.0, 1.2, 25), np.linspace(1.2, 0.0, 25)])[:, None]
+    rest = equilibrium(model, q, path=True)
+    phi, z, load = rest.deflection[:, 0], rest.z[:, 0], 2.4 * 9.81 * 0.26 * np.sin(q[:, 0])
+    np.testing.assert_allclose(stiffness * phi + z, load, atol=1e-9)
+    for k in range(1, len(q)):
+        way = np.sign(phi[k] - phi[k - 1])
+        expected = way * level + (z[k - 1] - way * level) * np.exp(-abs(phi[k] - phi[k - 1]) / scale)
+        assert z[k] == pytest.approx(expected, abs=1e-9)  # the scheme's own difference quotient of the rate
+    assert abs(phi[-1]) > 1e-3 and abs(equilibrium(model, q).deflection[-1, 0]) < 1e-15
+
+
+def test_creep_has_relaxed_on_a_slow_path() -> None:
+    effect = plan("spring_creep", "joint", {"stiffness": 50.0, "time_constant": 10.0})
+    model = FlexibleJointModel(make(PENDULUM), [effect])
+    q = np.linspace(0.0, 1.0, 5)[:, None]
+    slow = equilibrium(model, q, path=True)
+    np.testing.assert_allclose(slow.theta, equilibrium(model, q).theta, atol=1e-9)
+
+
+# --- the motor's side ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("effects", "command"),
+    [
+        ({"torque_gain": {"gain": 0.25}}, lambda tau, theta: tau / 1.25),
+        ({"torque_gain": {"gain": -2.0}}, lambda tau, theta: -tau),
+        ({"torque_offset": {"offset": 1.5}}, lambda tau, theta: tau - 1.5),
+        (
+            {"torque_gain": {"gain": 1.0}, "torque_saturation": {"limit": 60.0}},
+            lambda tau, theta: tau / 2,
+        ),
+        (
+            {"cogging": {"amplitude": 0.5, "cycles": 7.0, "phase": 0.2}},
+            lambda tau, theta: tau - 0.5 * np.sin(7.0 * theta + 0.2),
+        ),
+        ({"load_friction": {"coefficient": 0.1}}, lambda tau, theta: tau),
+    ],
+    ids=lambda value: "+".join(value) if isinstance(value, dict) else "",
+)
+def test_the_command_goes_through_the_motors_effects(
+    effects: dict[str, dict[str, float]], command: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> None:
+    model = FlexibleJointModel(make(PLANAR), [plan(name, "hip", p) for name, p in effects.items()])
+    rest = equilibrium(model, Q)
+    expected = command(rest.tau[:, 0], rest.theta[:, 0])
+    np.testing.assert_allclose(rest.tau_m[:, 0], expected, rtol=1e-10, atol=1e-10)
+    assert rest.violations == ()
+
+
+def test_dry_friction_leaves_a_band() -> None:
+    effects = [
+        plan("motor_coulomb_friction", "hip", {"level": 0.7}),
+        plan("load_friction", "hip", {"coefficient": 0.1}),
+    ]
+    rest = equilibrium(FlexibleJointModel(make(PLANAR), effects), Q)
+    np.testing.assert_allclose(rest.friction[:, 0], 0.7 + 0.1 * np.abs(rest.tau[:, 0]), rtol=1e-14)
+
+
+EFFECTS = [
+    [plan("torque_gain", "hip", {"gain": 0.2}), plan("torque_offset", "knee", {"offset": -1.0})],
+    [plan("spring_preload", "hip", {"torque": 2.0}), plan("cable_spring", "knee", {"stiffness": 9.0})],
+    [plan("transmission_error", "hip", {"amplitude": 4e-3, "cycles": 30.0, "phase": 1.0})],
+    [
+        plan("payload", "knee", {"mass": 0.8, "position": (0.0, 0.0, -0.2)}),
+        plan("base_tilt", None, {"roll": 0.1}),
+    ],
+]
+
+
+@pytest.mark.parametrize("effects", EFFECTS, ids=lambda effects: effects[0].effect.name)
+def test_a_held_motor_torque_keeps_the_robot_where_it_is(effects: list[Planned]) -> None:
+    """The arm hangs: with the torque that holds it and no controller, it stays for a second."""
+    model = FlexibleJointModel(make(PLANAR), effects)
+    pose = np.array([0.3, -0.2])
+    rest = equilibrium(model, pose)
+    state = model.rest(pose)
+    state.theta = rest.theta[0]
+    tape = rollout(model, state, np.tile(rest.tau_m, (1000, 1)), 1000.0)
+    # round-off in tau_m, 1e-14 N m, over the softest motion of the arm; a torque off by 1e-3 N m gives 1e-5
+    np.testing.assert_allclose(tape.q[-1], pose, atol=1e-9)
+    np.testing.assert_allclose(tape.theta[-1], rest.theta[0], atol=1e-9)
+
+
+# --- limits -------------------------------------------------------------------------------------------------
+def test_limits_that_are_broken_are_named() -> None:
+    model = FlexibleJointModel(make(PLANAR, {"hip": {"torque_limit": 8.0}}), [])
+    rest = equilibrium(model, Q, max_deflection={"knee": 1e-3})
+    torque, deflected = rest.violations
+    load, phi = gravity(Q)[:, 0], gravity(Q)[:, 1] / 420.0
+    assert (torque.kind, torque.joint, torque.unit) == ("motor torque", "hip", "N m")
+    np.testing.assert_array_equal(torque.poses, np.flatnonzero(np.abs(load) > 8.0))
+    np.testing.assert_allclose(torque.excess, np.abs(load[torque.poses]) - 8.0, rtol=1e-12)
+    assert (deflected.kind, deflected.joint) == ("deflection", "knee")
+    np.testing.assert_allclose(deflected.values, phi[np.abs(phi) > 1e-3], rtol=1e-12)
+    k = int(np.argmax(np.abs(load)))
+    assert torque.worst == k and f"motor torque of hip: pose {k} needs {load[k]:.5g} N m" in str(torque)
+
+
+def test_a_torque_that_no_command_reaches_is_named() -> None:
+    model = FlexibleJointModel(make(PLANAR), [plan("torque_saturation", "hip", {"limit": 5.0})])
+    (violation,) = equilibrium(model, Q).violations
+    load = gravity(Q)[:, 0]
+    np.testing.assert_array_equal(violation.poses, np.flatnonzero(np.abs(load) > 5.0))
+    assert violation.kind == "reachable torque"
+    np.testing.assert_allclose(violation.excess, np.abs(load[violation.poses]) - 5.0, rtol=1e-9)
+
+
+def test_joints_out_of_range_are_named() -> None:
+    model = standing.model("fixed")
+    q = model.body.neutral.copy()
+    q[model.robot.joint("torso_yaw").idx_q] = 9.0
+    kinds = {(v.kind, v.joint) for v in equilibrium(model, q).violations}
+    assert ("joint range", "torso_yaw") in kinds
+    assert ("joint range", "j_arm1_2") in kinds  # its range starts at 0.02
+
+
+def test_what_cannot_be_asked_is_refused() -> None:
+    model = FlexibleJointModel(make(PLANAR), [])
+    with pytest.raises(ModelError, match="pose 1 holds a number that is not finite"):
+        equilibrium(model, np.array([[0.0, 0.0], [np.nan, 0.0]]))
+    with pytest.raises(UnknownNameError, match="joint 'elbow'"):
+        equilibrium(model, Q, max_deflection={"elbow": 0.1})
+    with pytest.raises(ModelError, match="max_deflection of knee"):
+        equilibrium(model, Q, max_deflection={"knee": 0.0})
