@@ -31,7 +31,6 @@ from flexjoint.symbolic_spatial import (
     body_regressor,
     centripetal,
     clean_rotation,
-    skew,
     symmetric,
     without_dust,
 )
@@ -126,9 +125,8 @@ class SymbolicBody:
         accelerations: list[ca.SX] = []
         base = self._base_acceleration()
         for k, joint in enumerate(self._joints):
-            parent_acceleration = accelerations[joint.parent - 1] if joint.parent else base
-            acceleration = motion.placements[k].acceleration_to_child(parent_acceleration)
-            acceleration = acceleration + motion.products[k]
+            carrying = accelerations[joint.parent - 1] if joint.parent else base
+            acceleration = motion.placements[k].acceleration_to_child(carrying) + motion.products[k]
             for axis, dof in reversed(_axes(joint)):
                 result[dof] = inverses[dof] * (forces[dof] - columns[dof].T @ acceleration)
                 acceleration = acceleration + axis * result[dof]
@@ -163,8 +161,16 @@ class SymbolicBody:
         return self.rnea(q, v, ca.SX.zeros(self.nv))
 
     def gravity_torque(self, q: ca.SX) -> ca.SX:
-        """Joint forces (nv,) that hold q at rest."""
-        return self.rnea(q, ca.SX.zeros(self.nv), ca.SX.zeros(self.nv))
+        """Joint forces (nv,) that hold q at rest: each joint bears the weight of all that it carries."""
+        placements = self._placements(q)
+        carried = self._carried_masses(placements)
+        tau = ca.SX.zeros(self.nv)
+        upwards: list[ca.SX] = []
+        for joint, placement, (mass, moment) in zip(self._joints, placements, carried, strict=True):
+            upwards.append(placement.to_child(upwards[joint.parent - 1] if joint.parent else -self.gravity))
+            wrench = ca.vertcat(mass * upwards[-1], ca.cross(moment, upwards[-1]))
+            tau[joint.v] += ca.SX(joint.axes).T @ wrench
+        return tau
 
     def coriolis_torque(self, q: ca.SX, v: ca.SX) -> ca.SX:
         """Coriolis and centrifugal forces (nv,)."""
@@ -172,13 +178,12 @@ class SymbolicBody:
         return self._newton_euler(q, v, ca.SX.zeros(self.nv), ca.SX.zeros(6))
 
     def coriolis_matrix(self, q: ca.SX, v: ca.SX) -> ca.SX:
-        """C (nv, nv) of the Christoffel symbols: C v is coriolis_torque, M' - 2 C is skew."""
+        """C (nv, nv) of the Christoffel symbols: C v is coriolis_torque, dM/dt - 2 C is skew."""
         return coriolis_matrix(self._joints, self._inertias, self._column(q, "q"), self._column(v, "v"))
 
     def mass_matrix(self, q: ca.SX) -> ca.SX:
         """(nv, nv), dense and symmetric, the model's own armature included (Featherstone 2008, table 6.2)."""
-        q = self._column(q, "q")
-        placements = [joint.placement(q) for joint in self._joints]
+        placements = self._placements(q)
         composites = list(self._inertias)
         mass = ca.SX.zeros(self.nv, self.nv)
         for k in reversed(range(len(self._joints))):
@@ -220,9 +225,9 @@ class SymbolicBody:
         return ca.vertcat(*(joint.kind.step(q[joint.q], dv[joint.v]) for joint in self._joints))
 
     def frame_placement(self, q: ca.SX, frame: str) -> ca.SX:
-        """(4, 4) homogeneous placement of a frame in the base."""
+        """(4, 4) homogeneous placement of a frame in the base; the zeros of its last row are structural."""
         placement, _ = self._frame(self._world(q), frame)
-        return ca.blockcat([[placement.rotation, placement.origin], [ca.SX.zeros(1, 3), ca.SX(1)]])
+        return ca.blockcat([[placement.rotation, placement.origin], [ca.SX(1, 3), ca.SX(1)]])
 
     def frame_jacobian(self, q: ca.SX, frame: str) -> ca.SX:
         """(6, nv), linear part first, of the frame's origin along base axes (LOCAL_WORLD_ALIGNED)."""
@@ -232,19 +237,23 @@ class SymbolicBody:
         while parent:
             joint, here = self._joints[parent - 1], world[parent - 1]
             linear, angular = here.rotation @ ca.SX(joint.axes[:3]), here.rotation @ ca.SX(joint.axes[3:])
-            linear = linear - skew(placement.origin - here.origin) @ angular
+            lever = placement.origin - here.origin
+            linear = linear + ca.horzcat(*(ca.cross(angle, lever) for angle in ca.horzsplit(angular)))
             jacobian[:, joint.v] += ca.vertcat(linear, angular)
             parent = joint.parent
         return jacobian
 
     def center_of_mass(self, q: ca.SX) -> ca.SX:
         """(3,) in the base, of the moving bodies: what is fixed to the base does not count."""
-        moments = [
-            body.mass * placement.origin + placement.rotation @ body.moment
-            for body, placement in zip(self._inertias, self._world(q), strict=True)
-        ]
-        total = ca.sum1(self.inertial[:, 0])
-        return sum(moments, ca.SX.zeros(3)) / total
+        placements = self._placements(q)
+        total, moments = ca.SX(0), ca.SX.zeros(3)
+        for joint, placement, carried in zip(
+            self._joints, placements, self._carried_masses(placements), strict=True
+        ):
+            if not joint.parent:
+                mass, moment = _moved(placement, *carried)
+                total, moments = total + mass, moments + moment
+        return moments / total
 
     def casadi_function(self, name: str, frame: str | None = None) -> ca.Function:
         """One method as a casadi.Function with named inputs and output, for example
@@ -296,6 +305,20 @@ class SymbolicBody:
             accelerations.append(carried + product + joint.velocity(a))
         return accelerations
 
+    def _placements(self, q: ca.SX) -> list[Placement]:
+        """Of each joint's frame in its parent's."""
+        q = self._column(q, "q")
+        return [joint.placement(q) for joint in self._joints]
+
+    def _carried_masses(self, placements: list[Placement]) -> list[tuple[ca.SX, ca.SX]]:
+        """Mass and first moment (3,), about its frame, of all that each joint carries."""
+        carried = [(inertia.mass, inertia.moment) for inertia in self._inertias]
+        for k in reversed(range(len(self._joints))):
+            if parent := self._joints[k].parent:
+                mass, moment = _moved(placements[k], *carried[k])
+                carried[parent - 1] = carried[parent - 1][0] + mass, carried[parent - 1][1] + moment
+        return carried
+
     def _bias(self, k: int, motion: _Motion) -> ca.SX:
         """(6,) wrench that body k needs at zero acceleration: omega x (omega x m c), omega x J omega."""
         inertia, spin = self._inertias[k], motion.spins[k]
@@ -313,10 +336,8 @@ class SymbolicBody:
 
     def _world(self, q: ca.SX) -> list[Placement]:
         """The placement of each joint's frame in the base."""
-        q = self._column(q, "q")
         world: list[Placement] = []
-        for joint in self._joints:
-            local = joint.placement(q)
+        for joint, local in zip(self._joints, self._placements(q), strict=True):
             world.append(world[joint.parent - 1] @ local if joint.parent else local)
         return world
 
@@ -334,6 +355,11 @@ class SymbolicBody:
 def _axes(joint: Joint) -> list[tuple[ca.DM, int]]:
     """The motion axes (6,) as sparse constants, each with its index in v."""
     return [(ca.sparsify(ca.DM(joint.axes[:, k])), joint.v.start + k) for k in range(joint.axes.shape[1])]
+
+
+def _moved(placement: Placement, mass: ca.SX, moment: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Mass and first moment (3,) about the parent's frame."""
+    return mass, placement.to_parent(moment) + mass * placement.origin
 
 
 def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
