@@ -98,11 +98,10 @@ def equilibrium(
     tau_m, needed, given, friction = (np.empty_like(load) for _ in range(4))
     for i, flow in enumerate(model.flows):
         link = links[:, i]
-        if not flow.joint.rigid:
-            if path and flow.stateful:
-                phi[:, i] = _along(flow, link, load[:, i], z)
-            else:
-                phi[:, i] = deflection(flow, link, load[:, i])
+        if path and flow.stateful:
+            phi[:, i] = _along(flow, link, load[:, i], z)
+        elif not flow.joint.rigid:
+            phi[:, i] = deflection(flow, link, load[:, i])
         s = _resting(link, phi[:, i], load[:, i])
         needed[:, i] = load[:, i] - flow.torques(s, z.T)[0]
         tau_m[:, i], given[:, i] = _command(flow, s, needed[:, i])
@@ -156,8 +155,9 @@ def deflection(flow: JointFlow, q: np.ndarray, load: np.ndarray) -> np.ndarray:
 def _along(flow: JointFlow, q: np.ndarray, load: np.ndarray, z: np.ndarray) -> np.ndarray:
     """As `deflection`, but each row starts from the internal states of the one before. Writes the joint's
     states into z (N, nz), whose first row is where they start."""
-    phi = np.empty_like(load)
-    phi[0] = deflection(flow, q[:1], load[:1])[0]
+    phi = np.zeros_like(load)
+    if not flow.joint.rigid:
+        phi[0] = deflection(flow, q[:1], load[:1])[0]
     stiffness = flow.drive.K
     for k in range(1, len(load)):
         z[k, :] = np.where(_own(flow, z.shape[1]), z[k - 1], z[k])
@@ -176,12 +176,13 @@ def _along(flow: JointFlow, q: np.ndarray, load: np.ndarray, z: np.ndarray) -> n
         def missing(x: np.ndarray, k: int = k) -> np.ndarray:
             return flow.transmission(_resting(q[k], x, 0.0), moved(x)) - load[k]
 
-        reach = np.array([abs(load[k] - load[k - 1]) / stiffness + 1e-6])
-        x, found = increasing_roots(missing, phi[k - 1 : k], reach, stiffness)
-        if not found[0]:
-            raise _overloaded(flow, k, load)
-        phi[k] = x[0]
-        z[k, :] = [float(np.asarray(value).reshape(-1)[0]) for value in moved(x)]
+        if not flow.joint.rigid:
+            reach = np.array([abs(load[k] - load[k - 1]) / stiffness + 1e-6])
+            x, found = increasing_roots(missing, phi[k - 1 : k], reach, stiffness)
+            if not found[0]:
+                raise _overloaded(flow, k, load)
+            phi[k] = x[0]
+        z[k, :] = [float(np.ravel(value)[0]) for value in moved(phi[k : k + 1])]
     return phi
 
 

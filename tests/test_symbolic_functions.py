@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
 from body_models import EXACT, ROBOTS, STATES, relative, robot
+from test_docs import DOCS, blocks
 
 from flexjoint import rigid_body_functions
 from flexjoint.body import inertial_of
@@ -161,8 +164,19 @@ def test_unknown_names_and_joints_are_refused() -> None:
         rigid_body_functions(pin.transformJointIntoMimic(robot("rrbot"), 1, 2, 0.0, 0.1))
 
 
+def test_the_example_of_the_docs_runs() -> None:
+    (example,) = blocks(DOCS / "symbolic_body.md", "python")
+    names: dict[str, Any] = {}
+    exec(example, names)
+    f, easiest = names["f"], names["easiest"]
+    hand = np.array(f.frame_placement("tool0")(easiest))[:3, 3]
+    np.testing.assert_allclose(hand, [0.4, 0.2, 0.5], atol=1e-6)  # ipopt's tolerance is 1e-8
+    start = np.array([0.0, -1.0, 1.5, 0.0, 0.5, 0.0])
+    assert float(ca.norm_2(f.gravity(easiest))) < float(ca.norm_2(f.gravity(start)))
+
+
 # Instructions without armature: what a call costs. First ours, then those of Pinocchio 4.1's own templates on
-# casadi::SX, compiled in C++ (in the smaller of its conventions, and after elimination of common subexpressions;
+# casadi::SX, compiled in C++ (the smaller of its conventions, after elimination of common subexpressions;
 # beside coriolis stands its nle).
 SIZES = {
     "ur5": {
