@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pinocchio as pin
 import pytest
 import standing
 from arms import PLANAR, make
 from scipy.optimize import minimize
 from standing import FEET
 
+from flexjoint import robot, robot_schema
 from flexjoint.contact_forces import Contact
 from flexjoint.effect import plan
 from flexjoint.equilibrium import equilibrium
@@ -141,6 +145,30 @@ def test_a_flat_foot_carries_moments() -> None:
     lever = model.body.center_of_mass(pose) - model.body.frame_placement(pose, "contact_1")[:3, 3]
     np.testing.assert_allclose(wrench[:3], [0.0, 0.0, WEIGHT], atol=1e-9 * WEIGHT)
     np.testing.assert_allclose(wrench[3:], np.cross(lever, [0.0, 0.0, WEIGHT]), atol=1e-9 * WEIGHT)
+
+
+def test_talos_stands_on_two_flat_feet() -> None:
+    """All its joints actuated; each foot carries force and moment, together the weight."""
+    urdf = "package://example-robot-data/robots/talos_data/robots/talos_full_v2.urdf"
+    path = robot.example_robot_data() / urdf.removeprefix("package://")
+    rigid = pin.buildModelFromUrdf(str(path))
+    drive = {"stiffness": 1e4, "motor_inertia": 0.5}
+    file = {"name": "talos", "urdf": urdf, "base": "floating", "joints": {n: drive for n in rigid.names[1:]}}
+    model = FlexibleJointModel(robot.build(robot_schema.parse(file, "talos"), Path("talos.yaml")))
+    pose = model.body.neutral.copy()
+    for side in ("left", "right"):  # knees a little bent
+        for name, angle in (
+            (f"leg_{side}_3_joint", -0.4),
+            (f"leg_{side}_4_joint", 0.8),
+            (f"leg_{side}_5_joint", -0.4),
+        ):
+            pose[model.robot.joint(name).idx_q] = angle
+    feet = [Contact(f"{side}_sole_link", pushes=True, surface=True) for side in ("left", "right")]
+    rest = equilibrium(model, pose, feet)
+    weight = 9.81 * sum(inertia.mass for inertia in model.robot.model.inertias)
+    np.testing.assert_allclose(rest.forces[0, :, :3].sum(axis=0), [0, 0, weight], atol=1e-9 * weight)
+    np.testing.assert_allclose(rest.unbalanced, 0.0, atol=1e-9 * weight)
+    assert np.all(rest.forces[0, :, 2] > 0.3 * weight)  # it stands upright between them
 
 
 def test_a_passive_joint_is_held_by_contacts() -> None:

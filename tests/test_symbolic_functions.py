@@ -8,13 +8,14 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from body_models import EXACT, ROBOTS, STATES, relative, robot
+from body_models import EXACT, ROBOTS, STATES, random_inertia, random_placement, relative, robot
 from test_docs import DOCS, blocks
 
 from flexjoint import rigid_body_functions
 from flexjoint.body import inertial_of
 from flexjoint.errors import ModelError, UnknownNameError
 from flexjoint.symbolic_functions import RigidBodyFunctions
+from flexjoint.symbolic_joints import KINDS
 
 MIMICS = ["mimicking", "panda/mimic"]
 
@@ -83,6 +84,35 @@ def test_every_function_is_pinocchios(name: str) -> None:
             jacobian = pin.computeFrameJacobian(model, data, q, index, pin.LOCAL_WORLD_ALIGNED)
             difference = np.array(functions.frame_jacobian(frame)(q)) - jacobian.reshape(6, -1)
             assert np.max(np.abs(difference)) < 10 * EXACT, frame  # absolute: it may be 0
+
+
+def random_tree(seed: int) -> pin.Model:
+    """Nine joints of random types in a random tree, with armature; branch by branch, as Pinocchio wants."""
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    # Python cannot make an unbounded joint about a given axis; every_joint has one from a URDF
+    makers = [getattr(pin, kind) for kind in sorted(KINDS) if kind != "JointModelRevoluteUnboundedUnaligned"]
+    model, branch = pin.Model(), [0]
+    for _ in range(9):
+        maker = makers[rng.integers(len(makers))]
+        kind = maker(axis) if "Unaligned" in maker.__name__ else maker()
+        place = int(rng.integers(len(branch)))
+        index = model.addJoint(branch[place], kind, random_placement(rng), f"joint{model.njoints}")
+        model.appendBodyToJoint(index, random_inertia(rng), random_placement(rng))
+        branch = [*branch[: place + 1], index]
+    model.armature = rng.uniform(0.0, 0.5, model.nv)
+    return model
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_trees_are_pinocchios(seed: int) -> None:
+    model = random_tree(seed)
+    functions = rigid_body_functions(model)
+    q, v, a = state(model, seed)
+    got = got_from(functions, q, v, a)
+    for entry, value in expected_of(model, q, v, a).items():
+        assert relative(got[entry], value) < EXACT, entry
 
 
 @pytest.mark.parametrize("name", ["panda", "talos/floating", "every_joint", *MIMICS])
