@@ -95,6 +95,19 @@ def test_limits_are_printed_and_no_error(
     assert "beyond limits: deflection of shoulder: pose 1" in printed
 
 
+def test_effects_of_the_robot_file_count(tmp_path: Path, arm: Robot) -> None:
+    """The motor gives 4/5 of what it is told, so it is told 5/4."""
+    file = yaml.safe_load(arm.path.read_text())
+    file["effects"] = [{"effect": "torque_gain", "joint": "elbow", "gain": -0.2}]
+    arm.path.write_text(yaml.safe_dump(file))
+    table = poses(tmp_path / "poses.csv", q__shoulder=0.3, q__elbow=0.9)
+    assert run("theta-d", table, "--robot", arm.path, "--out", tmp_path / "out.csv") == 0
+    got = columns_of(tmp_path / "out.csv")
+    load = -0.981 * np.sin(1.2)
+    assert got["tau_ff.elbow"][0] == pytest.approx(load / 0.8, rel=1e-12)
+    assert got["tau_t.elbow"][0] == pytest.approx(load, rel=1e-12)
+
+
 def test_a_robot_on_its_feet(tmp_path: Path) -> None:
     loaded = standing.centauro()
     path = tmp_path / "centauro.yaml"
