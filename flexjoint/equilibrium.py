@@ -231,9 +231,11 @@ def _overloaded(flow: JointFlow, pose: int, load: np.ndarray) -> ModelError:
 
 
 def _rows(model: FlexibleJointModel, q: np.ndarray) -> np.ndarray:
+    if model.symbolic:
+        raise ModelError("equilibrium needs numbers: build the model with PinBody, its default")
     rows = np.atleast_2d(np.asarray(q, dtype=float))
-    if rows.ndim != 2 or rows.shape[1] != model.nq:
-        raise ModelError(f"q: expected (N, {model.nq}) link positions, got shape {np.shape(q)}")
+    if rows.ndim != 2 or rows.shape[1] != model.nq or len(rows) == 0:
+        raise ModelError(f"q: expected (N, {model.nq}) link positions, N > 0, got shape {np.shape(q)}")
     wrong = np.flatnonzero(~np.all(np.isfinite(rows), axis=1))
     if wrong.size:
         raise ModelError(f"q: pose {wrong[0]} holds a number that is not finite; leave such poses out")

@@ -19,6 +19,7 @@ from flexjoint.effect import Planned, Signals, plan
 from flexjoint.equilibrium import equilibrium, holding_torque
 from flexjoint.errors import ModelError, UnknownNameError
 from flexjoint.model import FlexibleJointModel
+from flexjoint.symbolic_body import SymbolicBody
 
 Q = np.array([[0.3, -0.9], [-1.2, 0.4], [0.0, 0.0]])
 
@@ -305,6 +306,10 @@ def test_what_cannot_be_asked_is_refused() -> None:
     model = FlexibleJointModel(make(PLANAR), [])
     with pytest.raises(ModelError, match="pose 1 holds a number that is not finite"):
         equilibrium(model, np.array([[0.0, 0.0], [np.nan, 0.0]]))
+    with pytest.raises(ModelError, match=r"got shape \(0, 2\)"):
+        equilibrium(model, np.empty((0, 2)))
+    with pytest.raises(ModelError, match="needs numbers"):
+        equilibrium(FlexibleJointModel(make(PLANAR), [], SymbolicBody), Q)
     with pytest.raises(UnknownNameError, match="joint 'elbow'"):
         equilibrium(model, Q, max_deflection={"elbow": 0.1})
     with pytest.raises(ModelError, match="max_deflection of knee"):
