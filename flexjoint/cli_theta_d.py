@@ -126,7 +126,7 @@ def report(rest: Equilibrium, loaded: Robot, out: Path) -> None:
     pose, k = np.unravel_index(int(np.argmax(np.abs(rest.deflection))), rest.deflection.shape)
     name = loaded.joint_names[int(k)]
     print(
-        f"wrote {out}: {len(rest.q)} poses of {', '.join(loaded.joint_names)}; largest deflection"
+        f"wrote {out}: {len(rest.q)} poses of {len(loaded.joints)} joints; largest deflection"
         f" {rest.deflection[pose, k]:.4g} rad ({name}, pose {pose})"
     )
     for violation in rest.violations[:SHOWN]:

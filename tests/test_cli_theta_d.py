@@ -63,7 +63,7 @@ def test_a_table_of_poses_becomes_a_table_of_motors(
         np.testing.assert_allclose(got[f"phi.{joint}"], load / 260, atol=1e-14)
         np.testing.assert_allclose(got[f"theta_ref.{joint}"], q + load / 260, atol=1e-14)
     printed = capsys.readouterr().out
-    assert f"wrote {out}: 3 poses of shoulder, elbow; largest deflection" in printed
+    assert f"wrote {out}: 3 poses of 2 joints; largest deflection" in printed
     assert "(shoulder, pose 2)" in printed and "beyond" not in printed
 
 
