@@ -22,6 +22,7 @@ from flexjoint.robot import Robot
 if TYPE_CHECKING:
     import control
 
+LONGEST_MEMORY = 40  # ticks of dead time up to which shorter periods are tried
 SHORTEST = 1e-5  # s, the shortest period and step tried
 STEP = 1.03  # between two periods tried: a band of instability narrower than that may be missed
 HALVINGS = 40
@@ -40,14 +41,15 @@ class SchemeLimits:
 def longest_period(linear: LinearModel, gains: Gains, delay: float = 0.0, longest: float = 0.2) -> float:
     """The longest sampling period [s] up to which the feedback is stable on a continuous model, its command
     held and `delay` [s] late; `longest` if it is stable throughout, 0 if it is not at the shortest period
-    tried."""
+    tried: 10 us, or 1/40 of the dead time."""
 
     def stable(period: float) -> bool:
         return is_stable(close_loop(linear.sampled(1.0 / period, delay), gains))
 
-    if not stable(SHORTEST):
+    dead = float(np.max(linear.input_delay, initial=0.0) + np.max(linear.output_delay, initial=0.0)) + delay
+    good = max(SHORTEST, dead / LONGEST_MEMORY)
+    if not stable(good):
         return 0.0
-    good = SHORTEST
     while good < longest:
         bad = min(good * STEP, longest)
         if not stable(bad):

@@ -16,6 +16,8 @@ from flexjoint.feedback import Gains, close_loop, on_states, open_loop
 from flexjoint.linear_model import LinearModel
 
 GRID = 300  # frequencies, spread evenly in their logarithm, beside those about each pole
+FLOOR = 1e-9  # of the largest entry
+INTEGRATOR = 1e-9  # distance of a pole from p at which the response there counts as infinite
 ROUNDS = 30  # of the diagonal scaling of the MIMO bound
 
 
@@ -133,6 +135,17 @@ class _Response:
         n = len(self.A)
         return self.C @ np.linalg.solve(p[:, None, None] * np.eye(n) - self.A, self.B)
 
+    def ends(self) -> list[float]:
+        """The response at frequency 0, unless it is infinite, and at half the sampling rate: both are real."""
+        points = ([1.0] if self.dt else [0.0]) + ([-1.0] if self.dt else [])
+        away = [np.min(np.abs(np.linalg.eigvals(self.A) - p)) for p in points]
+        n = len(self.A)
+        return [
+            float((self.C @ np.linalg.solve(p * np.eye(n) - self.A, self.B))[0, 0])
+            for p, distance in zip(points, away, strict=True)
+            if distance > INTEGRATOR
+        ]
+
     def at(self, omega: float) -> complex:
         return complex(self(np.array([omega]))[0, 0, 0])
 
@@ -142,9 +155,7 @@ def _loop(joint: str, loop: _Response) -> LoopMargins:
     L = loop(omega)[:, 0, 0]
     up, down = math.inf, 0.0
     crossings = [_root(lambda w: loop.at(w).imag, omega[k], omega[k + 1]) for k in _changes(L.imag)]
-    real = [loop.at(w).real for w in crossings] + [float(L[0].real)]  # and the response at rest
-    if loop.dt:
-        real.append(float(L[-1].real))
+    real = [loop.at(w).real for w in crossings] + loop.ends()
     for value in real:
         if value < 0.0:
             factor = -1.0 / value
@@ -156,7 +167,7 @@ def _loop(joint: str, loop: _Response) -> LoopMargins:
         phase = min(phase, math.degrees(min(angle, 2.0 * math.pi - angle)))
         delay, last = min(delay, angle / w), max(last, w / (2.0 * math.pi))
     disk = 1.0 / _peak(loop, lambda L: np.abs(0.5 * (1.0 - L[:, 0, 0]) / (1.0 + L[:, 0, 0])))
-    return LoopMargins(joint, up, down, phase, delay, disk, last)
+    return LoopMargins(joint, up, down, phase, float(delay), disk, float(last))
 
 
 def _changes(values: np.ndarray) -> np.ndarray:
@@ -186,12 +197,12 @@ def _scaled_norm(matrices: np.ndarray) -> np.ndarray:
     n = matrices.shape[-1]
     scale = np.ones(matrices.shape[:-1])
     size = np.abs(matrices)
-    off = size * (1.0 - np.eye(n))
+    # a loop that only drives others has an empty column: the floor keeps scales finite
+    off = size * (1.0 - np.eye(n)) + FLOOR * np.max(size, axis=(-2, -1), keepdims=True)
     for _ in range(ROUNDS if n > 1 else 0):
         scaled = scale[..., :, None] * off / scale[..., None, :]
         rows, columns = np.linalg.norm(scaled, axis=-1), np.linalg.norm(scaled, axis=-2)
-        ok = (rows > 0.0) & (columns > 0.0)
-        scale = scale * np.where(ok, np.sqrt(np.where(ok, columns, 1.0) / np.where(ok, rows, 1.0)), 1.0)
+        scale = scale * (columns / rows) ** 0.25  # all at once: half of Osborne's step does not overshoot
     scaled = scale[..., :, None] * matrices / scale[..., None, :]
     plain, better = (np.linalg.norm(m, ord=2, axis=(-2, -1)) for m in (matrices, scaled))
     return np.minimum(plain, better)

@@ -177,8 +177,8 @@ class _Lag(_Quasi):
 def _signals_of(law: Callable[[Signals], Value]) -> list[str]:
     """The signals on which a law depends."""
     symbols = {name: ca.SX.sym(name) for name in (*SIGNALS, "t")}
-    depends = ca.which_depends(ca.SX(law(Signals(**symbols))), ca.vertcat(*symbols.values()), 1, True)
-    return [name for name, does in zip(symbols, depends, strict=True) if does and name != "t"]
+    value = ca.SX(law(Signals(**symbols)))
+    return [name for name, symbol in symbols.items() if name != "t" and ca.depends_on(value, symbol)]
 
 
 def _of(amplitude: Mapping[str, float], name: str, planned: Planned) -> float:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from flexjoint.clockwork import closed_loop, physics_rate, true_signals
+from flexjoint.clockwork import Past, closed_loop, longest_delay, physics_rate, true_signals
 from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import ModelError, SimulationError
 from flexjoint.feedback import Gains
@@ -74,10 +75,15 @@ def verify(
     }
     references = {name: np.tile(row, (ticks, 1)) for name, row in rows.items()}
     state = model.rest(start)
-    state.theta = equilibrium(model, start).theta[0, list(model.flexible)]
+    held = equilibrium(model, start)
+    state.theta = held.theta[0, list(model.flexible)]
+    rate = physics_rate(robot)
+    before = math.ceil(longest_delay(model) * rate) + 1
+    kept = (held.tau[0], state.q, state.v, state.theta, state.dtheta)
+    past = Past(*(np.tile(row, (before, 1)) for row in kept))
     n, names = len(places), robot.joint_names
     try:
-        tape = closed_loop(model, state, gains.law(robot), references, physics_rate(robot))
+        tape = closed_loop(model, state, gains.law(robot), references, rate, past)
     except SimulationError as error:
         never, empty = np.full(n, np.inf), np.zeros((0, n))
         return Verification(False, str(error), never, never, never, never, np.zeros(0), empty, empty)
