@@ -98,7 +98,7 @@ def lqr(
     ct = python_control()
     solve = ct.lqr if plant.dt is None else ct.dlqr
     K = np.asarray(solve(plant.A, plant.B, Qm, Rm)[0])
-    return _designed(model, at, Gains(K, plant.states, plant.inputs, rate), linear, test)
+    return _designed(model, at, Gains(K, plant.states, plant.inputs, rate), linear, test, delay)
 
 
 def place(
@@ -134,7 +134,7 @@ def place(
                 "more than one tick of dead time: pole placement cannot repeat that many poles; use lqr"
             )
     K = np.asarray(python_control().place(plant.A, plant.B, wanted))
-    return _designed(model, at, Gains(K, plant.states, plant.inputs, rate), linear, test)
+    return _designed(model, at, Gains(K, plant.states, plant.inputs, rate), linear, test, delay)
 
 
 def motor_pd(
@@ -197,7 +197,7 @@ def motor_pd(
     ]
     mimo = np.array([smallest_damping(close_loop(linear, gains)) for linear in sampled])
     worst = int(np.argmin(mimo))
-    design = _designed(model, poses[worst], gains, sampled[worst], test)
+    design = _designed(model, poses[worst], gains, sampled[worst], test, delay)
     check = tomei(model, kp) if model.nv == n else None
     return PDDesign(
         gains, design.linear, design.poles, design.margins, design.verification, kp, kd, poses,
@@ -337,10 +337,15 @@ def _plants(
 
 
 def _designed(
-    model: FlexibleJointModel, at: np.ndarray | None, gains: Gains, linear: LinearModel, test: StepTest | None
+    model: FlexibleJointModel,
+    at: np.ndarray | None,
+    gains: Gains,
+    linear: LinearModel,
+    test: StepTest | None,
+    delay: float,
 ) -> Design:
     poles = close_loop(linear, gains).poles
-    return Design(gains, linear, poles, margins(linear, gains), verify(model, gains, at, test))
+    return Design(gains, linear, poles, margins(linear, gains), verify(model, gains, at, test, delay))
 
 
 def _state_weights(Q: Weights, plant: LinearModel) -> np.ndarray:

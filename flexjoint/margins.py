@@ -124,7 +124,7 @@ class _Response:
         size, poles = size[size > 1e-6], poles[size > 1e-6]
         low, high = 1e-3 * np.min(size, initial=1.0), 1e3 * np.max(size, initial=1.0)
         self.top = math.pi / dt if dt else math.inf
-        spread = np.linspace(-4.0, 4.0, 17)
+        spread = np.linspace(-3.0, 3.0, 9)
         about = size[:, None] + np.abs(poles.real)[:, None] * spread
         about = np.concatenate([about.ravel(), np.abs(poles.imag), size])
         grid = np.concatenate([np.geomspace(low, min(high, self.top), GRID), about[about > low]])
@@ -136,7 +136,7 @@ class _Response:
         return self.C @ np.linalg.solve(p[:, None, None] * np.eye(n) - self.A, self.B)
 
     def ends(self) -> list[float]:
-        """The response at frequency 0, unless it is infinite, and at half the sampling rate: both are real."""
+        """The response at frequency 0, unless it is infinite, and at half the sampling rate; both real."""
         points = ([1.0] if self.dt else [0.0]) + ([-1.0] if self.dt else [])
         away = [np.min(np.abs(np.linalg.eigvals(self.A) - p)) for p in points]
         n = len(self.A)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flexjoint.clockwork import Past, closed_loop, longest_delay, physics_rate, true_signals
+from flexjoint.effect import plan
 from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import ModelError, SimulationError
 from flexjoint.feedback import Gains
@@ -44,15 +45,20 @@ class Verification:
 
 
 def verify(
-    model: FlexibleJointModel, gains: Gains, at: np.ndarray | None = None, test: StepTest | None = None
+    model: FlexibleJointModel,
+    gains: Gains,
+    at: np.ndarray | None = None,
+    test: StepTest | None = None,
+    delay: float = 0.0,
 ) -> Verification:
     """Step the whole robot from rest at `at` (nq,) under the sampled law, with all effects of the model at
-    work, torque limits included. References are those of the nominal robot: theta_ref = q_d + g(q_d)/K,
-    tau_ff = g(q_d).
+    work, torque limits included, and commands `delay` [s] later than those effects say. References are those
+    of the nominal robot: theta_ref = q_d + g(q_d)/K, tau_ff = g(q_d).
 
     Raises ModelError for gains designed at another rate than the robot's control rate.
     """
     test = test or StepTest()
+    model = _later(model, delay)
     robot = model.robot
     control = robot.rates.control
     if gains.rate is not None and abs(gains.rate - control) > 1e-9 * control:
@@ -110,6 +116,18 @@ def verify(
         q,
         np.tile(goal[places], (len(time), 1)),
     )
+
+
+def _later(model: FlexibleJointModel, delay: float) -> FlexibleJointModel:
+    """The model with later commands on every joint, as an effect: the simulator's own."""
+    if delay == 0.0:
+        return model
+    effects = {planned.key: planned for planned in model.effects}
+    for name in model.robot.joint_names:
+        key = ("torque_delay", name)
+        own = float(effects[key].p.delay) if key in effects else 0.0
+        effects[key] = plan(*key, {"delay": own + delay})
+    return FlexibleJointModel(model.robot, effects.values())
 
 
 def _verdict(

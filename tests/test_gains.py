@@ -184,6 +184,19 @@ def test_motor_pd_of_an_arm_over_its_workspace() -> None:
     np.testing.assert_array_equal(design.kp, again.kp)
 
 
+def test_the_time_to_compute_is_in_the_simulation_too() -> None:
+    """As a dead time of the commands beside those that the effects have."""
+    fast = {"q": 3e6, "dq": 10.0, "dtheta": 1.0}
+    test = StepTest(size=0.002, horizon=0.6, overshoot=0.8)
+    own = planar(plan("torque_delay", "hip", {"delay": 4e-3}))
+    design = lqr(own, POSE, Q=fast, R=0.02, rate=1000.0, delay=6e-3, test=test)
+    assert design.verified, design.verification.reason
+    assert [name for name in design.gains.signals if "hip[n-" in name][-1] == "tau_m.hip[n-10]"
+    both = [plan("torque_delay", joint, {"delay": d}) for joint, d in (("hip", 0.01), ("knee", 6e-3))]
+    np.testing.assert_allclose(design.verification.q, verify(planar(*both), design.gains, POSE, test).q)
+    assert not verify(own, design.gains, POSE, test).verified  # a law that expects more delay than there is
+
+
 # --- verdicts ---------------------------------------------------------------------------------------------
 def test_the_simulation_has_the_last_word() -> None:
     """What the linear model does not know: a weak motor, dry friction, and gains too high for the rate."""
