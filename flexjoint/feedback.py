@@ -10,7 +10,7 @@ import numpy as np
 
 from flexjoint import ops
 from flexjoint.control import Law, MotorPD
-from flexjoint.errors import ModelError
+from flexjoint.errors import ModelError, unknown
 from flexjoint.linear_model import LinearModel
 from flexjoint.ops import Value
 from flexjoint.robot import Robot
@@ -43,9 +43,13 @@ class Gains:
 
     def law(self, robot: Robot) -> Law:
         """The law for the simulator, saturated at the joints' torque limits: MotorPD where the gains are
-        one."""
+        one. Raises UnknownNameError for signals that no law reads."""
         limit = np.array([joint.torque_limit for joint in robot.joints])
         names = robot.joint_names
+        valid = [f"{channel}.{name}" for channel in READS for name in names]
+        for signal in self.signals:
+            if PAST not in signal and signal not in valid:
+                raise unknown("signal that a law can feed back", signal, valid)
         parts = {channel: self._block(channel, names) for channel in READS}
         diagonal = all(np.array_equal(block, np.diag(np.diag(block))) for block in parts.values())
         past = self._past(names)

@@ -23,7 +23,7 @@ from flexjoint.linearise import linearise
 from flexjoint.margins import Margins, margins, smallest_damping
 from flexjoint.model import FlexibleJointModel
 from flexjoint.quasilinear import Nonsmooth, kinked
-from flexjoint.tomei import TomeiCheck, limits, tomei
+from flexjoint.tomei import TomeiCheck, position_limits, tomei
 from flexjoint.verification import StepTest, Verification, verify
 
 POSES = 20  # sampled for a PD design where the caller gives none
@@ -179,7 +179,7 @@ def motor_pd(
             f"expected a bandwidth > 0 Hz and a damping in (0, 1), got {bandwidth} and {damping}"
         )
     if isinstance(poses, int):
-        low, high = limits(model)
+        low, high = position_limits(model)
         poses = low + (high - low) * np.random.default_rng(seed).random((poses, model.nq))
     poses = np.atleast_2d(np.asarray(poses, dtype=float))
     rough = kinked(model.effects)

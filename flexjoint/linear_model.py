@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.linalg
@@ -107,7 +107,7 @@ class LinearModel:
         )  # fmt: skip
 
 
-def python_control():  # type: ignore[no-untyped-def]  # a module
+def python_control() -> Any:
     """python-control, or MissingExtraError. Absolute: flexjoint.control is another."""
     try:
         import control

@@ -104,28 +104,28 @@ def symbolic_linearisation(
     `model.state_names` and the motor torques u (n,): for use inside other CasADi expressions. Kinks count
     with their local slope; `width` as for `linearise`.
 
-    The articulated-body algorithm is differentiated by q, v and tau, and the rest assembled around it: half
-    the instructions of differentiating the whole right-hand side on a large robot.
+    The articulated-body algorithm is differentiated by q, v and tau, and the rest assembled around it: on
+    CENTAURO with a fixed base 114 thousand instructions, instead of 187 for the whole right-hand side
+    differentiated at once. The matrices are sparse.
     """
     twin = FlexibleJointModel(model.robot, model.effects, SymbolicBody)
     body, nv = twin.body, twin.nv
     torques = _JointTorques.of(model, width, t)
     x, u = ca.SX.sym("x", twin.nx), ca.SX.sym("u", len(twin.joints))
     force, by_x, by_u, _, C, D = torques.function(x, u)
-    q, v, tau, step = (
-        ca.SX.sym(n, size) for n, size in (("q", twin.nq), ("v", nv), ("tau", nv), ("step", nv))
-    )
-    fixed = twin.nq == nv
-    acc = body.aba(q + step if fixed else body.integrate(q, step), v, tau, ca.SX(torques.armature))
-    outputs = [acc, *(ca.densify(ca.jacobian(acc, by)) for by in (step, v, tau))]
-    aba = ca.Function("aba", [q, v, tau, step], outputs)
+    q, v, tau, step = (ca.SX.sym("", size) for size in (twin.nq, nv, nv, nv))
+    acc = body.aba(q, v, tau, ca.SX(torques.armature))
+    moved = ca.substitute(ca.jacobian(body.integrate(q, step), step), step, ca.SX.zeros(nv))
+    outputs = [acc, ca.jacobian(acc, q) @ moved, ca.jacobian(acc, v), ca.jacobian(acc, tau)]
+    aba = ca.Function("aba", [q, v, tau], outputs)
     now_v = x[twin.nq : twin.nq + nv]
-    value, *derivatives = aba(x[: twin.nq], now_v, force[:nv], np.zeros(nv))
+    value, *derivatives = aba(x[: twin.nq], now_v, force[:nv])
     A, B = _assembled(twin, derivatives, by_x, by_u, now_v)
     state = twin.unpack(x)
     drift = ca.vertcat(now_v, value, state.dtheta, force[nv:])
-    matrices = [ca.densify(m) for m in (A, B, C, D, drift)]
-    return ca.Function("linearisation", [x, u], matrices, ["x", "u"], ["A", "B", "C", "D", "drift"])
+    return ca.Function(
+        "linearisation", [x, u], [A, B, C, D, drift], ["x", "u"], ["A", "B", "C", "D", "drift"]
+    )
 
 
 # --- joint torques ----------------------------------------------------------------------------------------
@@ -163,11 +163,10 @@ class _JointTorques:
         for channel, i in readings:
             true = getattr(own.signals(state, i, u[i]), channel)
             y.append(own.flows[i].read(channel, Signals(t=t), true))
-        tangent = _tangent(own)
+        tangent = ca.sparsify(ca.DM(_tangent(own)))
         outputs: list[Any] = []
         for value in (f, ca.vertcat(*y)):
-            by_x, by_u = (ca.densify(ca.jacobian(value, by)) for by in (x, u))
-            outputs += [value, by_x @ tangent, by_u]
+            outputs += [value, ca.jacobian(value, x) @ tangent, ca.jacobian(value, u)]
         armature = np.zeros(own.nv)
         for i in own.rigid:
             armature[own.joints[i].idx_v] = own.flows[i].drive.B
@@ -193,15 +192,14 @@ def _assembled(
     nv, nf = model.nv, model.nf
     size = by_x.shape[1]
     symbolic = isinstance(by_x, ca.SX)
-    A = ca.SX.zeros(size, size) if symbolic else np.zeros((size, size))
-    B = ca.SX.zeros(size, by_u.shape[1]) if symbolic else np.zeros((size, by_u.shape[1]))
+    A, B = (ca.SX(size, n) if symbolic else np.zeros((size, n)) for n in (size, by_u.shape[1]))
     motor = 2 * nv + nf
-    A[:nv, nv : 2 * nv] = np.eye(nv)
+    A[:nv, nv : 2 * nv] = ca.SX.eye(nv) if symbolic else np.eye(nv)
     _turn(model, A, v)
     A[nv : 2 * nv, :] = by_tau @ by_x[:nv, :]
     A[nv : 2 * nv, :nv] += by_q
     A[nv : 2 * nv, nv : 2 * nv] += by_v
-    A[2 * nv : motor, motor : motor + nf] = np.eye(nf)
+    A[2 * nv : motor, motor : motor + nf] = ca.SX.eye(nf) if symbolic else np.eye(nf)
     A[motor:, :] = by_x[nv:, :]
     B[nv : 2 * nv, :] = by_tau @ by_u[:nv, :]
     B[motor:, :] = by_u[nv:, :]

@@ -7,6 +7,7 @@ exact where polynomials of a whole robot's order do not.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -174,11 +175,11 @@ def _changes(values: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0)
 
 
-def _root(function, low: float, high: float) -> float:  # type: ignore[no-untyped-def]
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
     return float(brentq(function, low, high, xtol=1e-12 * high, rtol=1e-12))
 
 
-def _peak(response: _Response, size) -> float:  # type: ignore[no-untyped-def]
+def _peak(response: _Response, size: Callable[[np.ndarray], np.ndarray]) -> float:
     """Largest size of the response over frequency: the grid's, refined between its neighbours."""
     omega = response.grid
     values = size(response(omega))

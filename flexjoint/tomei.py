@@ -78,7 +78,7 @@ def tomei(
     def curvature(q: np.ndarray) -> float:
         return float(np.linalg.eigvalsh(np.diag(series) + slope(q))[0])
 
-    low, high = limits(model)
+    low, high = position_limits(model)
     poses = low + (high - low) * np.random.default_rng(seed).random((samples, model.nq))
     pose, found = _smallest(steepness, poses, low, high)
     convex = _smallest(curvature, poses, low, high)[1]
@@ -88,7 +88,7 @@ def tomei(
     return TomeiCheck(margin > 1.0, float(margin), gravity, stiffness, convex, pose, samples)
 
 
-def limits(model: FlexibleJointModel) -> tuple[np.ndarray, np.ndarray]:
+def position_limits(model: FlexibleJointModel) -> tuple[np.ndarray, np.ndarray]:
     """(nq,) lower and upper positions of single-axis joints: the URDF's, within half a turn of the middle; a
     joint without limits, +-pi."""
     low = np.array(model.robot.model.lowerPositionLimit)

@@ -125,6 +125,8 @@ def test_gains_give_the_law_that_they_are() -> None:
     np.testing.assert_array_equal(pd.limit, [110.0, 60.0])
     crossed = Gains(np.ones((2, 2)), ("theta.hip", "theta.knee"), ("tau_m.hip", "tau_m.knee")).law(robot)
     assert isinstance(crossed, StateFeedback)
+    with pytest.raises(UnknownNameError, match="tau_t"):
+        Gains(np.ones((2, 1)), ("tau_t.hip",), ("tau_m.hip", "tau_m.knee")).law(robot)
 
 
 # --- motor PD ---------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: pat
 
 
 def test_there_are_notebooks() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["what_does_my_simulation_get_wrong"]
+    assert [path.stem for path in NOTEBOOKS] == ["gain_design", "what_does_my_simulation_get_wrong"]
 
 
 @every_notebook
