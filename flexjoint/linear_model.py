@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -163,16 +164,21 @@ def _sampled(model: LinearModel, tick: float, input_delay: np.ndarray) -> Linear
         else:
             row[..., first_in[j] + age - 1] += value
 
+    @cache
+    def hold(h: float) -> tuple[np.ndarray, np.ndarray]:
+        return held(model.A, model.B, h)
+
+    @cache
     def ahead(h: float) -> tuple[np.ndarray, np.ndarray]:
         """x after h seconds from now on, in terms of the registers (n, size) and the new command (n, nu)."""
         by_state, by_command = np.zeros((n, size)), np.zeros((n, nu))
-        by_state[:, :n] = held(model.A, model.B, h)[0]
+        by_state[:, :n] = hold(h)[0]
         for j, (whole, rest) in enumerate(late_in):
             old = min(rest, h)
-            phi, gamma = held(model.A, model.B[:, [j]], h - old)
-            put(by_state, by_command, j, whole, gamma[:, 0])
+            phi, gamma = hold(h - old)
+            put(by_state, by_command, j, whole, gamma[:, j])
             if old > 0.0:
-                put(by_state, by_command, j, whole + 1, phi @ held(model.A, model.B[:, [j]], old)[1][:, 0])
+                put(by_state, by_command, j, whole + 1, phi @ hold(old)[1][:, j])
         return by_state, by_command
 
     A[:n], B[:n] = ahead(tick)

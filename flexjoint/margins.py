@@ -56,6 +56,19 @@ class Margins:
         """Factors between which all loops' gains may vary at once."""
         return disk_gain(self.disk)
 
+    def __str__(self) -> str:
+        lines = [f"{'':20}{'gain up':>9}{'down':>7}{'phase [deg]':>13}{'delay [ms]':>12}{'disk':>7}"]
+        for loop in self.loops:
+            numbers = f"{loop.gain_up:9.1f}{loop.gain_down:7.2f}{loop.phase:13.0f}{1e3 * loop.delay:12.1f}"
+            lines.append(f"{loop.joint:20}{numbers}{loop.disk:7.2f}")
+        low, high = self.disk_gain
+        state = "" if self.stable else ", UNSTABLE"
+        lines.append(
+            f"all at once: disk {self.disk:.2f}, gains from {low:.2f} to {high:.2f} or"
+            f" {self.disk_phase:.0f} deg of phase; least damping {self.damping:.2f}{state}"
+        )
+        return "\n".join(lines)
+
     @property
     def disk_phase(self) -> float:
         """[deg] by which all loops' phases may vary at once."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -318,3 +319,14 @@ def test_parameters_are_set_by_name() -> None:
             ModelError if "low" in words or "effect." in words else UnknownNameError, match=words
         ):
             worst_case(model, gains, POSE, box=box)
+
+
+# --- the page ---------------------------------------------------------------------------------------------
+def test_the_example_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "gain_design.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    names: dict = {}
+    exec(example, names)
+    printed = capsys.readouterr().out
+    assert "all at once: disk" in printed and "Tomei's condition" in printed
+    assert names["pd"].verified and names["best"].verified

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import control
@@ -12,7 +14,7 @@ from arms import PENDULUM, PLANAR, make
 from flexjoint.clockwork import Past, closed_loop
 from flexjoint.effect import plan
 from flexjoint.equilibrium import equilibrium
-from flexjoint.errors import ModelError, UnknownNameError
+from flexjoint.errors import MissingExtraError, ModelError, UnknownNameError
 from flexjoint.feedback import Gains, close_loop
 from flexjoint.linear_model import LinearModel, held
 from flexjoint.linearise import linearise
@@ -134,3 +136,14 @@ def test_nonsense_is_refused() -> None:
         close_loop(replace(pendulum(), input_delay=np.array([1e-3])), gains)
     with pytest.raises(ModelError, match=r"tau_m\.other"):
         close_loop(pendulum(), replace(gains, inputs=("tau_m.other",)))
+
+
+def test_python_control_is_optional(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = (
+        "import sys, flexjoint.gains, flexjoint.robustness, flexjoint.limits; print('control' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(MissingExtraError, match=r"flexjoint\[control\]"):
+        pendulum().to_control()

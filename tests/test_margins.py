@@ -62,6 +62,7 @@ def test_a_conditionally_stable_loop_has_a_margin_downwards() -> None:
     assert found.stable and found.loops[0].gain_down == pytest.approx(0.25, rel=1e-9)
     assert math.isinf(found.loops[0].gain_up)
     unstable = margins(model, unit(model, 0.5))
+    assert "UNSTABLE" in str(unstable) and "UNSTABLE" not in str(found)
     assert not unstable.stable and unstable.disk == 0.0 and unstable.loops[0].delay == 0.0
 
 
