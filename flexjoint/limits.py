@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from flexjoint.clockwork import physics_rate
+from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import ModelError, SimulationError
 from flexjoint.feedback import Gains, close_loop
-from flexjoint.integrate import DEFAULT, SCHEMES, check_stability
+from flexjoint.integrate import DEFAULT, SCHEMES, check_stability, make_step
 from flexjoint.linear_model import LinearModel, python_control
 from flexjoint.linearise import linearise
 from flexjoint.margins import is_stable
 from flexjoint.model import FlexibleJointModel
-from flexjoint.quasilinear import Nonsmooth
+from flexjoint.quasilinear import Nonsmooth, kinked
 from flexjoint.robot import Robot
 
 if TYPE_CHECKING:
@@ -26,7 +28,9 @@ LONGEST_MEMORY = 40  # ticks of dead time up to which shorter periods are tried
 SHORTEST = 1e-5  # s, the shortest period and step tried
 STEP = 1.03  # between two periods tried: a band of instability narrower than that may be missed
 HALVINGS = 40
-STIFFEST = 1e12  # times the robot's own: beyond it a scheme counts as stable for any stiffness
+SOFTEST, STIFFEST = 1e-3, 1e8  # times the robot's own; beyond it a scheme counts as stable for any stiffness
+DIFFERENCE = 1e-5  # of the central differences: rad, rad/s, N m
+ROUNDING = 1e-6  # by which they may move a pole that lies on the unit circle
 
 
 @dataclass(frozen=True)
@@ -59,33 +63,104 @@ def longest_period(linear: LinearModel, gains: Gains, delay: float = 0.0, longes
 
 
 def scheme_limits(
-    model: FlexibleJointModel, at: np.ndarray | None = None, rate: float | None = None
+    model: FlexibleJointModel,
+    at: np.ndarray | None = None,
+    rate: float | None = None,
+    gains: Gains | None = None,
 ) -> Mapping[str, SchemeLimits]:
     """How long a step and how stiff a spring each integration scheme bears on this robot at `at` (nq,), by
     scheme.
 
-    As `integrate.check_stability` sees it: masses, springs and dampers, without a controller. `rate` [Hz] is
-    the physics rate at which the stiffness is varied (default: the robot's).
+    The period is that of masses, springs and dampers alone, as `integrate.check_stability` has it. The
+    stiffness, at the physics rate `rate` [Hz] (default: the robot's), counts the controller too where `gains`
+    are given (see `simulated`): then 0 is a loop that is unstable with the robot's own springs already, and
+    softer ones are not looked at.
     """
-    h = 1.0 / (rate or model.robot.rates.physics)
+    rate = rate or model.robot.rates.physics
     state = model.rest(None if at is None else np.asarray(at, dtype=float))
     out = {}
     for scheme in SCHEMES:
 
-        def stable(factor: float, step: float, scheme: str = scheme) -> bool:
-            scaled = FlexibleJointModel(with_stiffness(model.robot, factor), model.effects)
+        def stiff(factor: float, scheme: str = scheme) -> FlexibleJointModel:
+            return FlexibleJointModel(with_stiffness(model.robot, factor), model.effects)
+
+        def alone(factor: float, step: float, scheme: str = scheme) -> bool:
             try:
-                check_stability(scaled, state, step, scheme)
+                check_stability(stiff(factor), state, step, scheme)
             except SimulationError:
                 return False
             return True
 
-        if scheme == DEFAULT:
-            out[scheme] = SchemeLimits(np.inf, np.inf)
-            continue
-        period = _largest(lambda step: stable(1.0, step), SHORTEST, 1.0)
-        out[scheme] = SchemeLimits(period, _largest(lambda factor: stable(factor, h), 1e-6, STIFFEST))
+        def closed(factor: float, scheme: str = scheme) -> bool:
+            if not alone(factor, 1.0 / rate):
+                return False
+            linear = simulated(stiff(factor), at, scheme, rate)
+            loop = close_loop(linear, gains) if gains else linear
+            return bool(np.max(np.abs(loop.poles)) <= 1.0 + ROUNDING)
+
+        period = np.inf if scheme == DEFAULT else _largest(lambda step: alone(1.0, step), SHORTEST, 1.0)
+        if gains is None:
+            stiffness = (
+                np.inf if scheme == DEFAULT else _largest(lambda f: alone(f, 1.0 / rate), SOFTEST, STIFFEST)
+            )
+        else:
+            stiffness = _largest(closed, 1.0, STIFFEST)
+        out[scheme] = SchemeLimits(period, stiffness)
     return out
+
+
+def simulated(
+    model: FlexibleJointModel,
+    at: np.ndarray | None = None,
+    scheme: str = DEFAULT,
+    rate: float | None = None,
+) -> LinearModel:
+    """What an integration scheme makes of the robot at rest at `at` (nq,), linear and sampled at the robot's
+    control rate: its poles are those of a simulation, where `LinearModel.sampled` has the true ones.
+
+    The scheme's own step at `rate` [Hz] (default: the robot's physics rate, a whole multiple of the control
+    rate) is differentiated by central differences. What the scheme remembers of its last step are states,
+    too. Effects with kinks and dead times are left out.
+    """
+    control = model.robot.rates.control
+    substeps = round((rate or physics_rate(model.robot)) / control)
+    if substeps < 1 or abs(substeps * control - (rate or substeps * control)) > 1e-9 * control:
+        raise ModelError(f"rate: expected a whole multiple of the control rate {control:g} Hz, got {rate} Hz")
+    linear = linearise(model, at, nonsmooth="null")
+    rough = kinked(model.effects)
+    own = FlexibleJointModel(model.robot, [e for e in model.effects if e not in rough])
+    q = own.body.neutral if at is None else np.asarray(at, dtype=float)
+    rest = equilibrium(own, q)
+    step = make_step(own, 1.0 / (substeps * control), scheme)
+    nv, nf, n = own.nv, own.nf, len(own.joints)
+    edges = np.cumsum([nv, nv, nf, nf, own.nz, nv, nf])
+    names = ("q", "v", "theta", "dtheta", "z", "acc", "ddtheta")
+
+    def stepped(deviation: np.ndarray) -> np.ndarray:
+        parts = dict(zip(names, np.split(deviation[:-n], edges[:-1]), strict=True))
+        state = own.rest(own.body.integrate(q, parts["q"]))
+        state.v, state.theta = parts["v"], rest.theta[0, list(own.flexible)] + parts["theta"]
+        state.dtheta, state.z = parts["dtheta"], state.z + parts["z"]
+        state.acc, state.ddtheta = parts["acc"], parts["ddtheta"]
+        after = step(state, rest.tau[0] + deviation[-n:])
+        moved = own.body.difference(q, after.q)
+        theta = after.theta - rest.theta[0, list(own.flexible)]
+        return np.concatenate([moved, after.v, theta, after.dtheta, after.z, after.acc, after.ddtheta])
+
+    size = int(edges[-1])
+    columns = [
+        (stepped(DIFFERENCE * e) - stepped(-DIFFERENCE * e)) / (2.0 * DIFFERENCE) for e in np.eye(size + n)
+    ]
+    one = np.array(columns).T
+    A, B = np.eye(size), np.zeros((size, n))
+    for _ in range(substeps):
+        A, B = one[:, :size] @ A, one[:, :size] @ B + one[:, size:]
+    C = np.hstack([linear.C, np.zeros((len(linear.outputs), nv + nf))])
+    memory = tuple(f"memory[{k}]" for k in range(nv + nf))
+    return replace(
+        linear, A=A, B=B, C=C, states=(*linear.states, *memory), drift=np.zeros(size), dt=1.0 / control,
+        input_delay=np.zeros(n), output_delay=np.zeros(len(linear.outputs)),
+    )  # fmt: skip
 
 
 def stiffness_locus(

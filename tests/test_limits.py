@@ -14,8 +14,9 @@ from flexjoint.clockwork import closed_loop
 from flexjoint.control import MotorPD
 from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import ModelError, UnknownNameError
-from flexjoint.feedback import Gains
-from flexjoint.limits import longest_period, scheme_limits, stiffness_locus, with_stiffness
+from flexjoint.feedback import Gains, close_loop
+from flexjoint.integrate import SCHEMES
+from flexjoint.limits import longest_period, scheme_limits, simulated, stiffness_locus, with_stiffness
 from flexjoint.linearise import linearise
 from flexjoint.model import FlexibleJointModel
 from flexjoint.static_law import static_error
@@ -58,6 +59,53 @@ def test_scheme_limits_of_an_undamped_spring() -> None:
     assert found["semi_implicit_euler"].stiffness == pytest.approx((2.0 * 500.0 / omega) ** 2, rel=1e-5)
     assert found["explicit_euler"].period < 1e-3 * found["rk4"].period
     assert math.isinf(found["linearly_implicit_midpoint"].stiffness)
+
+
+@pytest.mark.parametrize("scheme", list(SCHEMES))
+def test_the_poles_of_a_simulation(scheme: str) -> None:
+    """A rigid joint under held torque, step by step: what each scheme makes of J dv = u."""
+    h, kp, kd = 1e-3, 60.0, 20.0
+    rigid = make(PENDULUM, {"joint": {"stiffness": math.inf, "motor_damping": 0.0}}, **WEIGHTLESS)
+    gains = Gains.motor_pd(rigid, np.array([kp]), np.array([kd]))
+    poles = close_loop(simulated(FlexibleJointModel(rigid, []), None, scheme), gains).poles
+    a, b = h * kd / (M + B), h * h * kp / (M + B)
+    # q+ = q + h v + share h^2 u, v+ = v + h u, under u = -(kp q + kd v) / J
+    share = {"explicit_euler": 0.0, "semi_implicit_euler": 1.0, "kashiri2017": 1.0}.get(scheme, 0.5)
+    expected = np.linalg.eigvals([[1.0 - share * b, h - share * h * a], [-b / h, 1.0 - a]])
+    for pole in expected:
+        assert np.min(np.abs(poles - pole)) < 1e-8  # of differences
+
+
+def test_a_simulation_tends_to_the_robot() -> None:
+    """Poles of the default scheme against the exact ones: the square of the step."""
+    off = []
+    for rate in (1000.0, 2000.0, 4000.0):
+        model = FlexibleJointModel(make(PLANAR, rates={"physics": rate, "control": 1000.0}), [])
+        exact = linearise(model, np.array([0.4, -0.7])).sampled(1000.0).poles
+        poles = simulated(model, np.array([0.4, -0.7])).poles
+        off.append(max(np.min(np.abs(poles - pole)) for pole in exact))
+    np.testing.assert_allclose(np.log2(np.array(off[:-1]) / off[1:]), 2.0, atol=0.2)
+
+
+def test_the_controller_counts_in_what_a_scheme_bears() -> None:
+    model = FlexibleJointModel(make(PENDULUM), [])
+    gains = Gains.motor_pd(make(PENDULUM), np.array([1100.0]), np.array([12.0]))
+    alone, closed = scheme_limits(model), scheme_limits(model, gains=gains)
+    for scheme in ("semi_implicit_euler", "rk4"):
+        assert 1.0 < closed[scheme].stiffness < alone[scheme].stiffness * (1.0 + 1e-6)
+        assert closed[scheme].period == alone[scheme].period
+    # a simulation a little stiffer than the limit diverges, a little softer one does not
+    limit = closed["semi_implicit_euler"].stiffness
+    for share, calm in ((0.97, True), (1.03, False)):
+        stiff = FlexibleJointModel(with_stiffness(model.robot, share * limit), [])
+        start = stiff.rest()
+        start.dtheta = np.array([1e-6])
+        still = {name: np.zeros((300, 1)) for name in ("q_ref", "theta_ref", "dtheta_ref", "tau_ff")}
+        tape = closed_loop(stiff, start, gains.law(stiff.robot), still, 1000.0, scheme="semi_implicit_euler")
+        speed = np.abs(tape.dtheta[:, 0])
+        assert (np.max(speed[-50:]) < np.max(speed[:50])) == calm
+    with pytest.raises(ModelError, match="whole multiple"):
+        simulated(model, rate=1500.0)
 
 
 def test_the_locus_over_stiffness_is_that_of_the_equation() -> None:
