@@ -11,7 +11,7 @@ import numpy as np
 from flexjoint import ops
 from flexjoint.control import Law, MotorPD
 from flexjoint.errors import ModelError, unknown
-from flexjoint.linear_model import LinearModel
+from flexjoint.linear_model import LinearModel, shift
 from flexjoint.ops import Value
 from flexjoint.robot import Robot
 
@@ -71,10 +71,10 @@ class Gains:
         for column, signal in enumerate(self.signals):
             if PAST not in signal:
                 continue
-            name, age = signal.split(".", 1)[1].rstrip("]").rsplit(PAST, 1)
-            while len(blocks) < int(age):
+            name, age = _aged(signal)
+            while len(blocks) < age:
                 blocks.append(np.zeros((len(joints), len(joints))))
-            blocks[int(age) - 1][:, joints.index(name)] = self.matrix[:, column]
+            blocks[age - 1][:, joints.index(name.split(".", 1)[1])] = self.matrix[:, column]
         return tuple(blocks)
 
 
@@ -112,34 +112,61 @@ class StateFeedback:
         return tau
 
 
-def on_states(linear: LinearModel, gains: Gains) -> np.ndarray:
-    """(n, nx) F of u = -F x: readings through C, where they are late or scaled; past commands as they are."""
+def join(linear: LinearModel, gains: Gains) -> tuple[LinearModel, np.ndarray]:
+    """The model beside what the law remembers of its commands, and F (n, nx) of u = -F x.
+
+    Readings come through C, late or scaled as they are. The memory is the law's own, apart from commands on
+    their way in the model: where the robot does not do what it is told, the two differ.
+    """
     if linear.dt is None and linear.delayed:
         raise ModelError("a continuous model with dead times cannot be closed exactly; sample it (`sampled`)")
     if gains.inputs != linear.inputs:
         raise ModelError(
             f"the gains are for {', '.join(gains.inputs)}; the model has {', '.join(linear.inputs)}"
         )
-    out = np.zeros((len(linear.inputs), len(linear.states)))
+    past = [_aged(signal) for signal in gains.signals if PAST in signal]
+    if past and linear.dt is None:
+        raise ModelError("the gains feed back earlier commands; sample the model (`sampled`)")
+    n, nx = len(linear.inputs), len(linear.states)
+    ages = [max((age for name, age in past if name == own), default=0) for own in linear.inputs]
+    first = nx + np.concatenate([[0], np.cumsum(ages)]).astype(int)
+    size = int(first[-1])
+    F = np.zeros((n, size))
     for column, signal in enumerate(gains.signals):
         if PAST in signal:
-            out[:, linear.places("states", [signal])[0]] += gains.matrix[:, column]
+            name, age = _aged(signal)
+            F[:, first[linear.places("inputs", [name])[0]] + age - 1] += gains.matrix[:, column]
         else:
             row = linear.places("outputs", [signal])[0]
-            out += np.outer(gains.matrix[:, column], linear.C[row])
-    return out
+            F[:, :nx] += np.outer(gains.matrix[:, column], linear.C[row])
+    A, B, C = np.zeros((size, size)), np.zeros((size, n)), np.zeros((len(linear.outputs), size))
+    A[:nx, :nx], B[:nx], C[:, :nx] = linear.A, linear.B, linear.C
+    names = list(linear.states)
+    for j, age in enumerate(ages):
+        shift(A, first[j], age)
+        if age:
+            A[first[j]] -= F[j]
+        names += [f"sent.{linear.inputs[j].split('.', 1)[1]}{PAST}{k + 1}]" for k in range(age)]
+    drift = np.concatenate([linear.drift, np.zeros(size - nx)])
+    return replace(linear, A=A, B=B, C=C, states=tuple(names), drift=drift), F
 
 
 def close_loop(linear: LinearModel, gains: Gains) -> LinearModel:
     """The linear model under the feedback; its inputs add to the commanded torque."""
-    return replace(linear, A=linear.A - linear.B @ on_states(linear, gains))
+    joined, F = join(linear, gains)
+    return replace(joined, A=joined.A - joined.B @ F)
 
 
 def open_loop(linear: LinearModel, gains: Gains) -> LinearModel:
-    """From motor torques to what the feedback would take off them, all loops cut: L of the closed loop 1 +
-    L."""
+    """From motor torques to what the feedback would take off them, all loops cut: L of the closed loop
+    1 + L."""
+    joined, F = join(linear, gains)
     back = tuple(f"feedback.{name.split('.', 1)[1]}" for name in linear.inputs)
     n = len(back)
-    return replace(
-        linear, C=on_states(linear, gains), D=np.zeros((n, n)), outputs=back, output_delay=np.zeros(n)
-    )
+    return replace(joined, C=F, D=np.zeros((n, n)), outputs=back, output_delay=np.zeros(n))
+
+
+def _aged(signal: str) -> tuple[str, int]:
+    """Name and age in ticks of an earlier command, tau_m.joint[n-k]."""
+    name, age = signal.rstrip("]").rsplit(PAST, 1)
+    return name, int(age)

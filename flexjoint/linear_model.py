@@ -183,7 +183,7 @@ def _sampled(model: LinearModel, tick: float, input_delay: np.ndarray) -> Linear
 
     A[:n], B[:n] = ahead(tick)
     for j, length in enumerate(lengths_in):
-        _shift(A, first_in[j], length)
+        shift(A, first_in[j], length)
         if length:
             B[first_in[j], j] = 1.0
         states += [f"{model.inputs[j]}[n-{k + 1}]" for k in range(length)]
@@ -191,7 +191,7 @@ def _sampled(model: LinearModel, tick: float, input_delay: np.ndarray) -> Linear
         if length == 0:
             C[i, :n], D[i] = model.C[i], model.D[i]
             continue
-        _shift(A, first_out[i], length)
+        shift(A, first_out[i], length)
         by_state, by_command = np.zeros(size), np.zeros(nu)
         if rest > 0.0:
             x, u = ahead(tick - rest)
@@ -209,7 +209,7 @@ def _sampled(model: LinearModel, tick: float, input_delay: np.ndarray) -> Linear
     )  # fmt: skip
 
 
-def _shift(A: np.ndarray, first: int, length: int) -> None:
+def shift(A: np.ndarray, first: int, length: int) -> None:
     """A register that moves on by one place a tick."""
     for k in range(1, length):
         A[first + k, first + k - 1] = 1.0

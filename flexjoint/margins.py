@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from flexjoint.feedback import Gains, close_loop, on_states, open_loop
+from flexjoint.feedback import Gains, close_loop, join, open_loop
 from flexjoint.linear_model import LinearModel
 
 GRID = 300  # frequencies, spread evenly in their logarithm, beside those about each pole
@@ -90,11 +90,11 @@ def margins(linear: LinearModel, gains: Gains) -> Margins:
         return Margins(
             False, damping, 0.0, tuple(LoopMargins(n, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0) for n in names)
         )
-    F = on_states(linear, gains)
+    joined, F = join(linear, gains)
     loops = []
     for i, name in enumerate(names):
-        others = closed.A + np.outer(linear.B[:, i], F[i])
-        loops.append(_loop(name, _Response(others, linear.B[:, [i]], F[[i]], linear.dt)))
+        others = closed.A + np.outer(joined.B[:, i], F[i])
+        loops.append(_loop(name, _Response(others, joined.B[:, [i]], F[[i]], linear.dt)))
     return Margins(True, damping, disk_margin(linear, gains), tuple(loops))
 
 

@@ -19,6 +19,7 @@ from flexjoint.errors import ModelError, UnknownNameError
 from flexjoint.feedback import Gains, StateFeedback, close_loop
 from flexjoint.gains import lqr, motor_pd, place
 from flexjoint.linearise import linearise
+from flexjoint.margins import is_stable
 from flexjoint.model import FlexibleJointModel
 from flexjoint.robot import load, write
 from flexjoint.robustness import with_parameters, worst_case
@@ -87,7 +88,7 @@ def test_poles_lie_where_they_were_placed() -> None:
     np.testing.assert_allclose(np.sort_complex(design.poles), np.sort_complex(wanted), rtol=1e-5)
     assert design.verified
     sampled = place(planar(), POSE, poles=wanted, rate=1000.0, delay=1e-3)
-    expected = np.concatenate([np.exp(np.array(wanted) * 1e-3), [0.0, 0.0]])
+    expected = np.concatenate([np.exp(np.array(wanted) * 1e-3), np.zeros(4)])  # commands, sent and on the way
     np.testing.assert_allclose(np.sort(np.abs(sampled.poles)), np.sort(np.abs(expected)), atol=1e-5)
     assert sampled.verified
     with pytest.raises(ModelError, match=r"expected 8.*got 2"):
@@ -198,6 +199,21 @@ def test_the_time_to_compute_is_in_the_simulation_too() -> None:
     both = [plan("torque_delay", joint, {"delay": d}) for joint, d in (("hip", 0.01), ("knee", 6e-3))]
     np.testing.assert_allclose(design.verification.q, verify(planar(*both), design.gains, POSE, test).q)
     assert not verify(own, design.gains, POSE, test).verified  # a law that expects more delay than there is
+
+
+def test_a_law_remembers_what_it_said_not_what_the_motor_did() -> None:
+    """The gain margin of a law with memory, against stability with the motor's gain changed as an effect: the
+    plant does more than the law believes it told it."""
+    late = [plan("torque_delay", joint, {"delay": 8e-3}) for joint in ("hip", "knee")]
+    design = lqr(planar(*late), POSE, Q={"q": 3e6, "dq": 10.0, "dtheta": 1.0}, R=0.02, rate=1000.0)
+    limit = design.margins.loops[0].gain_up
+    assert 1.0 < limit < 20.0
+    for share, stable in ((0.99, True), (1.01, False)):
+        stronger = planar(*late, plan("torque_gain", "hip", {"gain": share * limit - 1.0}))
+        sampled = linearise(stronger, POSE).sampled(1000.0)
+        assert is_stable(close_loop(sampled, design.gains)) == stable
+    # on a robot without the delay, the law is the same
+    assert close_loop(linearise(planar(), POSE).sampled(1000.0), design.gains).states[-1] == "sent.knee[n-8]"
 
 
 # --- verdicts ---------------------------------------------------------------------------------------------
