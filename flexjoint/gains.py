@@ -86,7 +86,8 @@ def lqr(
             channel.joint; absent ones are 0.
         R: weight of the torques: (n, n), (n,) or a number.
         rate: of the ticks [Hz] for a discrete design; the law then knows its commands on the way, so that
-            dead times of the command and `delay` [s], the time to compute, are designed for.
+            dead times of the command and `delay` [s], the time to compute, are designed for. Q and R then
+            weigh the sum over ticks.
         nonsmooth, amplitude: see `linearise`.
         test: the step that verifies the gains.
 
@@ -179,6 +180,8 @@ def motor_pd(
             f"expected a bandwidth > 0 Hz and a damping in (0, 1), got {bandwidth} and {damping}"
         )
     if isinstance(poses, int):
+        if model.nq != model.nv:
+            raise ModelError("poses of a floating base cannot be sampled; give them, (N, nq)")
         low, high = position_limits(model)
         poses = low + (high - low) * np.random.default_rng(seed).random((poses, model.nq))
     poses = np.atleast_2d(np.asarray(poses, dtype=float))

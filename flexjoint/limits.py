@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 LONGEST_MEMORY = 40  # ticks of dead time up to which shorter periods are tried
 SHORTEST = 1e-5  # s, the shortest period and step tried
 STEP = 1.03  # between two periods tried: a band of instability narrower than that may be missed
-HALVINGS = 40
+HALVINGS, TIGHT = 40, 1e-6
 SOFTEST, STIFFEST = 1e-3, 1e8  # times the robot's own; beyond it a scheme counts as stable for any stiffness
 DIFFERENCE = 1e-5  # of the central differences: rad, rad/s, N m
 ROUNDING = 1e-6  # by which they may move a pole that lies on the unit circle
@@ -222,10 +222,10 @@ def _largest(stable: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def _boundary(stable: Callable[[float], bool], good: float, bad: float) -> float:
-    """The last good value, to a relative 1e-9 or what HALVINGS give, by bisection in the logarithm."""
+    """The last good value, to a relative TIGHT, by bisection in the logarithm."""
     for _ in range(HALVINGS):
         middle = float(np.sqrt(good * bad))
         good, bad = (middle, bad) if stable(middle) else (good, middle)
-        if bad < good * (1.0 + 1e-9):
+        if bad < good * (1.0 + TIGHT):
             break
     return good

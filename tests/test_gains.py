@@ -165,6 +165,8 @@ def test_a_spring_lets_no_more_through_than_it_can() -> None:
     # with the motor held, the link swings at sqrt((K + G) / M) = 6.4 Hz
     with pytest.raises(ModelError, match=r"link swings at 6\.42 Hz.*Hz can be reached"):
         motor_pd(model, 20.0, 0.7, poses=np.array([[0.3]]))
+    with pytest.raises(ModelError, match="floating base cannot be sampled"):
+        motor_pd(FlexibleJointModel(make(PENDULUM, base="floating")), 1.0)
     with pytest.raises(ModelError, match="bandwidth > 0"):
         motor_pd(model, 1.0, 1.2)
 

@@ -34,7 +34,7 @@ def test_longest_period_of_a_rigid_joint(kp: float, kd: float) -> None:
     linear = linearise(FlexibleJointModel(rigid, []))
     gains = Gains.motor_pd(rigid, np.array([kp]), np.array([kd]))
     expected = min(2.0 * (M + B) / kd, 2.0 * kd / kp)
-    assert longest_period(linear, gains) == pytest.approx(expected, rel=1e-6)
+    assert longest_period(linear, gains) == pytest.approx(expected, rel=1e-5)  # of the bisection
     assert longest_period(linear, Gains.motor_pd(rigid, np.array([-1.0]), np.array([kd]))) == 0.0
 
 
