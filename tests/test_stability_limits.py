@@ -16,9 +16,15 @@ from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import ModelError, UnknownNameError
 from flexjoint.feedback import Gains, close_loop
 from flexjoint.integrate import SCHEMES
-from flexjoint.limits import longest_period, scheme_limits, simulated, stiffness_locus, with_stiffness
 from flexjoint.linearise import linearise
 from flexjoint.model import FlexibleJointModel
+from flexjoint.stability_limits import (
+    longest_period,
+    scheme_limits,
+    simulated,
+    stiffness_locus,
+    with_stiffness,
+)
 from flexjoint.static_law import static_error
 
 M = 0.05 + 2.4 * 0.26**2
