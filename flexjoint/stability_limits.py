@@ -3,15 +3,17 @@ stiffness."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flexjoint.clockwork import physics_rate
 from flexjoint.equilibrium import equilibrium
-from flexjoint.errors import ModelError, SimulationError
+from flexjoint.errors import ModelError, SimulationError, unknown
 from flexjoint.feedback import Gains, close_loop
 from flexjoint.integrate import DEFAULT, SCHEMES, check_stability, make_step
 from flexjoint.linear_model import LinearModel, python_control
@@ -24,6 +26,7 @@ from flexjoint.robot import Robot
 if TYPE_CHECKING:
     import control
 
+FIXED_STEP = (DEFAULT, "semi_implicit_euler", "explicit_euler", "kashiri2017", "rk4")
 LONGEST_MEMORY = 40  # ticks of dead time up to which shorter periods are tried
 SHORTEST = 1e-5  # s, the shortest period and step tried
 STEP = 1.03  # between two periods tried: a band of instability narrower than that may be missed
@@ -67,6 +70,7 @@ def scheme_limits(
     at: np.ndarray | None = None,
     rate: float | None = None,
     gains: Gains | None = None,
+    schemes: Sequence[str] = FIXED_STEP,
 ) -> Mapping[str, SchemeLimits]:
     """How long a step and how stiff a spring each integration scheme bears on this robot at `at` (nq,), by
     scheme.
@@ -74,37 +78,39 @@ def scheme_limits(
     The period is that of masses, springs and dampers alone, as `integrate.check_stability` has it. The
     stiffness, at the physics rate `rate` [Hz] (default: the robot's), counts the controller too where `gains`
     are given (see `simulated`): then 0 is a loop that is unstable with the robot's own springs already, and
-    softer ones are not looked at.
+    softer ones are not looked at. Raises UnknownNameError.
     """
+    for scheme in schemes:
+        if scheme not in SCHEMES:
+            raise unknown("scheme", scheme, SCHEMES)
     rate = rate or model.robot.rates.physics
     state = model.rest(None if at is None else np.asarray(at, dtype=float))
-    out = {}
-    for scheme in SCHEMES:
 
-        def stiff(factor: float, scheme: str = scheme) -> FlexibleJointModel:
-            return FlexibleJointModel(with_stiffness(model.robot, factor), model.effects)
+    def stiff(factor: float) -> FlexibleJointModel:
+        return FlexibleJointModel(with_stiffness(model.robot, factor), model.effects)
 
-        def alone(factor: float, step: float, scheme: str = scheme) -> bool:
+    def alone(scheme: str, factor: float, step: float) -> bool:
+        with warnings.catch_warnings():  # a refusal or a warning, it says that the scheme diverges
+            warnings.simplefilter("error")
             try:
                 check_stability(stiff(factor), state, step, scheme)
-            except SimulationError:
+            except (SimulationError, Warning):
                 return False
-            return True
+        return True
 
-        def closed(factor: float, scheme: str = scheme) -> bool:
-            if not alone(factor, 1.0 / rate):
-                return False
-            linear = simulated(stiff(factor), at, scheme, rate)
-            loop = close_loop(linear, gains) if gains else linear
-            return bool(np.max(np.abs(loop.poles)) <= 1.0 + ROUNDING)
+    def closed(scheme: str, factor: float, gains: Gains) -> bool:
+        if not alone(scheme, factor, 1.0 / rate):
+            return False
+        loop = close_loop(simulated(stiff(factor), at, scheme, rate), gains)
+        return bool(np.max(np.abs(loop.poles)) <= 1.0 + ROUNDING)
 
-        period = np.inf if scheme == DEFAULT else _largest(lambda step: alone(1.0, step), SHORTEST, 1.0)
+    out = {}
+    for scheme in schemes:
+        period = _largest(partial(alone, scheme, 1.0), SHORTEST, 1.0)
         if gains is None:
-            stiffness = (
-                np.inf if scheme == DEFAULT else _largest(lambda f: alone(f, 1.0 / rate), SOFTEST, STIFFEST)
-            )
+            stiffness = _largest(partial(alone, scheme, step=1.0 / rate), SOFTEST, STIFFEST)
         else:
-            stiffness = _largest(closed, 1.0, STIFFEST)
+            stiffness = _largest(partial(closed, scheme, gains=gains), 1.0, STIFFEST)
         out[scheme] = SchemeLimits(period, stiffness)
     return out
 

@@ -15,10 +15,10 @@ from flexjoint.control import MotorPD
 from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import ModelError, UnknownNameError
 from flexjoint.feedback import Gains, close_loop
-from flexjoint.integrate import SCHEMES
 from flexjoint.linearise import linearise
 from flexjoint.model import FlexibleJointModel
 from flexjoint.stability_limits import (
+    FIXED_STEP,
     longest_period,
     scheme_limits,
     simulated,
@@ -67,7 +67,7 @@ def test_scheme_limits_of_an_undamped_spring() -> None:
     assert math.isinf(found["linearly_implicit_midpoint"].stiffness)
 
 
-@pytest.mark.parametrize("scheme", list(SCHEMES))
+@pytest.mark.parametrize("scheme", FIXED_STEP)
 def test_the_poles_of_a_simulation(scheme: str) -> None:
     """A rigid joint under held torque, step by step: what each scheme makes of J dv = u."""
     h, kp, kd = 1e-3, 60.0, 20.0
@@ -110,6 +110,8 @@ def test_the_controller_counts_in_what_a_scheme_bears() -> None:
         tape = closed_loop(stiff, start, gains.law(stiff.robot), still, 1000.0, scheme="semi_implicit_euler")
         speed = np.abs(tape.dtheta[:, 0])
         assert (np.max(speed[-50:]) < np.max(speed[:50])) == calm
+    with pytest.raises(UnknownNameError, match="rk4"):
+        scheme_limits(model, schemes=["rk5"])
     with pytest.raises(ModelError, match="whole multiple"):
         simulated(model, rate=1500.0)
 
