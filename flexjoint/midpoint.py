@@ -21,11 +21,9 @@ import numpy as np
 from flexjoint import ops
 from flexjoint.effect import Signals
 from flexjoint.flow import JointFlow
+from flexjoint.friction import SWEEPS, TINY, directed, settle
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.ops import Value
-
-SWEEPS = 50  # of Gauss-Seidel over link frictions; each shrinks the error by the coupling through M^-1
-TINY = 1e-12  # [rad/s] carries the direction of a velocity of 0
 
 
 class Midpoint:
@@ -95,8 +93,8 @@ class Midpoint:
         acc: Value,
         lines: dict[int, Line],
     ) -> Value:
-        """The acceleration under the links' dry friction f: |f_j| <= level_j, and f_j = level_j sgn v_j
-        where the midpoint velocity v + a (acc - M^-1 f) is not 0; projected Gauss-Seidel.
+        """The acceleration under the links' dry friction f, which stops what it can of the midpoint velocity
+        v + a (acc - M^-1 f).
 
         The columns M^-1 e_j come from the same ABA, which is affine in tau.
         """
@@ -109,17 +107,9 @@ class Midpoint:
             columns.append(model.body.aba(q_mid, v_mid, unit, armature) - acc)
             free.append(x.v[place] + a * acc[place])
             levels.append(lines[i].link_level(model.flows[i], free[-1]))
+        coupling = [[a * column[place] for column in columns] for place in places]
+        force = settle(free, levels, coupling, self.sweeps, model.symbolic)
         count = range(len(places))
-        force: list[Value] = [0.0 for _ in count]
-        for _ in range(self.sweeps):
-            moved = 0.0
-            for j in count:
-                left = free[j] - a * sum(columns[k][places[j]] * force[k] for k in count)
-                before = force[j]
-                force[j] = ops.clip(before + left / (a * columns[j][places[j]]), -levels[j], levels[j])
-                moved = moved if model.symbolic else max(moved, abs(force[j] - before) / (levels[j] + TINY))
-            if not model.symbolic and moved < TINY:
-                break
         for j in count:
             acc = acc - columns[j] * force[j]
         for j in count:
@@ -195,7 +185,7 @@ class Line:
     def link_level(self, flow: JointFlow, velocity: Value) -> Value:
         """Bound of the dry friction on the link; a rigid joint's motor rubs there too."""
         s = self.signals
-        s.dq = _directed(s.dq, velocity)
+        s.dq = directed(s.dq, velocity)
         self.level = flow.link_level(s)
         if flow.joint.rigid:
             s.dtheta = s.dq
@@ -225,7 +215,7 @@ def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
     if flow.motor_rubs:
         wanted = push + a * kd * s.dq  # den times the midpoint velocity that dry friction has to stop
         velocity = s.dtheta
-        s.dtheta = _directed(velocity, wanted)
+        s.dtheta = directed(velocity, wanted)
         level = a * flow.motor_level(s)
         s.dtheta = velocity
         sticks = ops.absolute(wanted) <= level
@@ -270,12 +260,6 @@ class _Midway:
             return Signals(t, q, dq, q, dq, 0.0, 0.0, tau_t, self.tau_m[i])
         theta, dtheta = self.theta[k] + a * self.dtheta[k], self.dtheta[k] + a * self.ddtheta[k]
         return Signals(t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, self.tau_m[i])
-
-
-def _directed(size: Value, direction: Value) -> Value:
-    """|size|, at least TINY, with the sign of direction: dry friction resists the motion to come."""
-    size = ops.maximum(ops.absolute(size), TINY)
-    return ops.where(direction < 0.0, -size, size)
 
 
 def _rubbed(start: Value, midpoint: Value, free: Value, shed: Value, h: float) -> tuple[Value, Value]:
