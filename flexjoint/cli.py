@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | demo | robots | effects`.
+"""The command line: `flexjoint diagnose | compare | simulate | demo | robots | effects | paper`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. Heavy modules are imported by the commands that need them.
@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from flexjoint import cli_paper
 from flexjoint.errors import FlexJointError
 
 UNUSABLE = 2
@@ -97,6 +98,8 @@ def _parser() -> argparse.ArgumentParser:
     effects = commands.add_parser("effects", help="list the physical effects it knows")
     effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
     effects.set_defaults(run=_effects)
+
+    cli_paper.add(commands)
     return parser
 
 

@@ -9,7 +9,7 @@ reference jumps.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal, Protocol
 
@@ -26,7 +26,7 @@ from flexjoint.stability import linearised
 RTOL, ATOL = 1e-11, 1e-12  # of the explicit solver
 LOOSER = 1e2  # on both tolerances of the implicit solver, whose Newton iterations end at rounding
 STIFF = 30.0  # max |lambda| h above which an explicit solver takes many steps within h
-LOOKS = 4  # places within a solver's step where saturation is looked for
+LOOKS = 2  # places within a solver's step where saturation is looked for
 SAME_TIME = 1e-12  # [s]
 AFTER = 2e-9  # [s] right after a jump, beyond what `flexjoint.profile` counts as its time
 Method = Literal["auto", "DOP853", "Radau", "LSODA"]
@@ -118,7 +118,7 @@ def continuous_control(
             solver = _solver(chosen, flow, t, y, until, min(1e-3, until - t))
             while solver.status == "running":
                 _advance(solver)
-                dense = solver.dense_output()
+                dense = solver.dense_output()  # also of a step without rows: an event may lie within
                 event = _event(loop, flow, dense, solver.t_old, solver.t)
                 reached = solver.t if event is None else event[0]
                 while k < len(times) and times[k] <= reached + SAME_TIME:
@@ -214,13 +214,15 @@ class _Flow:
         self.model, self.origin, self.width, self.torque = model, x, width, torque
         self.flat = model.nq == model.nv
         nv, nf = model.nv, model.nf
-        self.ends = np.cumsum([nv, nv, nf, nf])
+        ends = np.cumsum([0, nv, nv, nf, nf, model.nz])
+        self.parts = [slice(*ends[k : k + 2]) for k in range(5)]
         self.start = np.concatenate([np.zeros(nv), x.v, x.theta, x.dtheta, x.z])
 
     def state(self, t: float, y: np.ndarray) -> State:
-        xi, v, theta, dtheta, z = np.split(y, self.ends)
+        xi, v, theta, dtheta, z = (y[part] for part in self.parts)
         q = self.origin.q + xi if self.flat else self.model.body.integrate(self.origin.q, xi)
-        return replace(self.origin, t=t, q=q, v=v, theta=theta, dtheta=dtheta, z=z)
+        x = self.origin
+        return State(t, q, v, theta, dtheta, z, x.acc, x.ddtheta, x.tau_rigid)
 
     def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
         x = self.state(t, y)
