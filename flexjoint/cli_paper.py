@@ -10,6 +10,11 @@ if TYPE_CHECKING:
 
     from flexjoint.paper import Difference, Table
 
+NOTE = """\
+(*) given as NRMSE in the signal's unit; which norm it is, the paper does not say.
+Read from the left, the step reaches a held controller a tick after the continuous one, which is most of the
+difference. Read from the right it does not, and tau_m is off by the whole torque at that one sample."""
+
 
 def add(commands: Any) -> None:
     """Register the command and its experiments; one more experiment is one more parser here."""
@@ -74,11 +79,7 @@ def _print(table: Table, console: Console, beside_paper: bool = False) -> None:
             rows.append(["" if k else "the paper, Gazebo against Matlab", f"{signal} [{unit}]", *numbers])
     _grid(table.title, ["run", "signal", "max", "RMS", "RMS / range", "MSE"], rows, console)
     if beside_paper:
-        console.print(
-            "(*) given as NRMSE in the signal's unit; which norm it is, the paper does not say.\n"
-            "Read from the left, the step reaches a held controller a tick after the continuous one, which\n"
-            "is most of the difference; `read from the right` takes that out."
-        )
+        console.print(NOTE, soft_wrap=True)
 
 
 def _cells(found: Difference) -> list[str]:
