@@ -79,13 +79,14 @@ def kashiri2017(
 
 
 def rk4(model: FlexibleJointModel, h: float, width: float | None = None) -> Step:
-    """Classical Runge-Kutta, four ABA calls; order 4 where every joint has one axis."""
+    """Classical Runge-Kutta, four ABA calls; order 4, on a floating base in its exponential coordinates
+    (Munthe-Kaas 1998)."""
 
     def step(x: State, tau_m: Value) -> State:
         r1 = model.rates(x, tau_m, width)
-        r2 = model.rates(_moved(model, x, r1, 0.5 * h), tau_m, width)
-        r3 = model.rates(_moved(model, x, r2, 0.5 * h), tau_m, width)
-        r4 = model.rates(_moved(model, x, r3, h), tau_m, width)
+        r2 = _onward(model, x, r1, 0.5 * h, tau_m, width)
+        r3 = _onward(model, x, r2, 0.5 * h, tau_m, width)
+        r4 = _onward(model, x, r3, h, tau_m, width)
         mean = Rates(
             *(
                 (getattr(r1, n) + 2.0 * (getattr(r2, n) + getattr(r3, n)) + getattr(r4, n)) / 6.0
@@ -95,6 +96,31 @@ def rk4(model: FlexibleJointModel, h: float, width: float | None = None) -> Step
         return _moved(model, x, mean, h)
 
     return step
+
+
+def _onward(
+    model: FlexibleJointModel, x: State, r: Rates, h: float, tau_m: Value, width: float | None
+) -> Rates:
+    """Rates h seconds after x at constant rates r; the base's velocity as that of its exponential
+    coordinates xi = h v about x: xi' = v + [xi, v]/2 + [xi, [xi, v]]/12 to the order that counts."""
+    then = model.rates(_moved(model, x, r, h), tau_m, width)
+    if not model.robot.floating:
+        return then
+    xi, v = h * r.v[:6], then.v[:6]
+    once = _bracket(model, xi, v)
+    rate = ops.copy(then.v)
+    rate[:6] = v + once / 2.0 + _bracket(model, xi, once) / 12.0
+    return Rates(rate, then.acc, then.dtheta, then.ddtheta, then.dz, then.tau_t)
+
+
+def _bracket(model: FlexibleJointModel, xi: Value, v: Value) -> Value:
+    """Lie bracket of two twists (6,), linear part first."""
+
+    def cross(a: Value, b: Value) -> list[Value]:
+        return [a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3] for k in range(3)]
+
+    linear = [p + q for p, q in zip(cross(xi[3:6], v[:3]), cross(xi[:3], v[3:6]), strict=True)]
+    return model.vector([*linear, *cross(xi[3:6], v[3:6])])
 
 
 def _moved(model: FlexibleJointModel, x: State, r: Rates, h: float) -> State:

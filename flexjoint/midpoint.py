@@ -16,8 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from flexjoint import ops
 from flexjoint.effect import Signals
 from flexjoint.flow import JointFlow
@@ -70,7 +68,7 @@ class Midpoint:
         tau[self.of_v] = spring + self.kd * c0 - self.kap * x.v[self.of_v]
         lines: dict[int, Line] = {}
         if self.special:
-            c1, armature = _copy(c1), _copy(armature)
+            c1, armature = ops.copy(c1), ops.copy(armature)
             at = _Midway(model, x, q_mid, v_mid, tau_m)
             for i, k, flow in self.special:
                 line = _rigid(flow, at, i, a) if k < 0 else _flexible(flow, at, i, k, a)
@@ -102,7 +100,7 @@ class Midpoint:
         places = [model.joints[i].idx_v for i in self.rubbing]
         columns, free, levels = [], [], []
         for i, place in zip(self.rubbing, places, strict=True):
-            unit = _copy(tau)
+            unit = ops.copy(tau)
             unit[place] = unit[place] + 1.0
             columns.append(model.body.aba(q_mid, v_mid, unit, armature) - acc)
             free.append(x.v[place] + a * acc[place])
@@ -124,7 +122,7 @@ class Midpoint:
         v = v_mid + a * acc
         carried = acc
         if self.rubbing:
-            acc = _copy(acc)
+            acc = ops.copy(acc)
         for i in self.rubbing:
             place, line = model.joints[i].idx_v, lines[i]
             v_mid[place] = ops.where(line.link_sticks, 0.0, v_mid[place])
@@ -132,7 +130,7 @@ class Midpoint:
         w_mid = c0 + c1 * v_mid[self.of_v]
         w = 2.0 * w_mid - x.dtheta
         ddtheta = (w_mid - x.dtheta) / a
-        tau_rigid = _copy(x.tau_rigid)
+        tau_rigid = ops.copy(x.tau_rigid)
         for i, k, flow in self.special:
             if k < 0:
                 tau_rigid[model.rigid.index(i)] = lines[i].carried(carried[flow.joint.idx_v])
@@ -146,7 +144,7 @@ class Midpoint:
     def _advance(self, x: State, v_mid: Value, w_mid: Value) -> Value:
         """Internal states a step later, driven by the midpoint's velocities."""
         model = self.model
-        z = _copy(x.z)
+        z = ops.copy(x.z)
         q_mid = model.body.integrate(x.q, self.a * v_mid)
         at = _Midway(model, x, q_mid, v_mid, model.zeros(len(model.joints)))
         speeds = model.items(w_mid)
@@ -284,7 +282,3 @@ def _places(indices: list[int]) -> Any:
     if indices == list(range(len(indices))):
         return slice(0, len(indices))
     return indices
-
-
-def _copy(vector: Value) -> Value:
-    return vector.copy() if isinstance(vector, np.ndarray) else type(vector)(vector)

@@ -98,3 +98,8 @@ def exp(x: Value) -> Value:
 def stack(entries: Sequence[Value]) -> Value:
     """Scalars, or rows of equal shape, as one vector or array."""
     return ca.vertcat(*entries) if is_symbolic(*entries) else np.array(entries)
+
+
+def copy(vector: Value) -> Value:
+    """A vector that may be written on."""
+    return vector.copy() if isinstance(vector, np.ndarray) else type(vector)(vector)

@@ -4,12 +4,15 @@ exact solutions, to the digits to which they are known."""
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import PLANAR, make
 
 from flexjoint import paper
 from flexjoint.cli import main
+from flexjoint.clockwork import closed_loop
 from flexjoint.control import law_of
 from flexjoint.effect import plan
 from flexjoint.errors import ModelError, UnknownNameError
@@ -160,6 +163,30 @@ def _on_grid(time: np.ndarray) -> np.ndarray:
     law = law_of(model.robot)
     row = {name: values[0] for name, values in told.items()}
     return continuous_control(model, model.rest(), law, lambda _t: row, time).x[:, 0]
+
+
+def test_continuous_control_is_the_limit_of_ever_faster_ticks() -> None:
+    """Two joints that saturate at different times; held control errs by order 1 of its period, so two rates
+    extrapolate to the limit."""
+    limits = {"hip": {"torque_limit": 25.0}, "knee": {"torque_limit": 12.0}}
+    model = FlexibleJointModel(make(PLANAR, limits), [])
+    goal = tomei(model, np.array([[0.4, -0.3]]))
+    row = {name: values[0] for name, values in goal.items()}
+    seconds = 0.3
+    ends = []
+    for control in (8000.0, 16000.0):
+        robot = replace(model.robot, rates=model.robot.rates.model_copy(update={"control": control}))
+        fast = FlexibleJointModel(robot, [])
+        told = {name: np.tile(values, (round(seconds * control), 1)) for name, values in goal.items()}
+        tape = closed_loop(fast, fast.rest(), law_of(robot), told, control, scheme="rk4")
+        ends.append(np.concatenate([tape.q[-1], tape.theta[-1]]))
+    found = continuous_control(
+        model, model.rest(), law_of(model.robot), lambda _t: row, np.array([0.0, seconds])
+    )
+    assert np.all(found.saturated > 0.005) and abs(found.saturated[0] - found.saturated[1]) > 0.005
+    ends_exactly = np.concatenate([found.x[-1, :2], found.x[-1, 4:6]])
+    error = np.max(np.abs(ends[1] - ends_exactly))
+    assert np.max(np.abs(2 * ends[1] - ends[0] - ends_exactly)) < 0.05 * error  # what order 2 leaves
 
 
 def test_unknown_springs_and_delays_are_refused() -> None:

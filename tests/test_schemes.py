@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from arms import PENDULUM, PLANAR, SPATIAL, make, waves
@@ -17,6 +19,8 @@ from flexjoint.effect import Planned, plan
 from flexjoint.errors import ModelError, SimulationError, StabilityWarning
 from flexjoint.integrate import DEFAULT, NUMBERS_ONLY, SCHEMES, STICKING, kashiri2017, make_step
 from flexjoint.model import FlexibleJointModel, State
+from flexjoint.robot import Robot, build
+from flexjoint.robot_schema import parse
 from flexjoint.stability import stability
 from flexjoint.symbolic_body import SymbolicBody
 
@@ -40,8 +44,27 @@ def moving(model: FlexibleJointModel) -> State:
     return x
 
 
-def final(model: FlexibleJointModel, scheme: str, h: float, seconds: float) -> np.ndarray:
+def ur5() -> Robot:
+    names = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    joints = {}
+    for k, name in enumerate(names):
+        K, B = ((1e4, 2.0), (2e3, 0.3))[k >= 3]
+        joints[f"{name}_joint"] = {
+            "stiffness": K,
+            "damping": 1e-3 * K,
+            "motor_inertia": B,
+            "motor_damping": 10.0,
+        }
+    urdf = "package://example-robot-data/robots/ur_description/urdf/ur5_robot.urdf"
+    return build(parse({"name": "ur5", "urdf": urdf, "joints": joints}, "ur5"), Path("ur5.yaml"))
+
+
+def final(
+    model: FlexibleJointModel, scheme: str, h: float, seconds: float, base: np.ndarray | None = None
+) -> np.ndarray:
     x, step = moving(model), make_step(model, h, scheme)
+    if base is not None:
+        x.v[:6] = base
     torque = 6.0 * np.cos(np.arange(len(model.joints)))
     for _ in range(round(seconds / h)):
         x = step(x, torque)
@@ -63,12 +86,23 @@ def test_a_scheme_has_its_order(scheme: str) -> None:
     assert abs(np.log2(coarse / fine) - order) < 0.15 * order  # the next term of the error at these steps
 
 
-@pytest.mark.parametrize("scheme", [DEFAULT, "implicit_midpoint"])
-def test_order_2_holds_for_a_floating_base_and_a_rigid_joint(scheme: str) -> None:
+@pytest.mark.parametrize("scheme", [DEFAULT, "implicit_midpoint", "rk4"])
+def test_orders_hold_for_a_floating_base_and_a_rigid_joint(scheme: str) -> None:
     model = FlexibleJointModel(make(SPATIAL, {"roll": {"stiffness": math.inf}}, base="floating"), [])
-    exact = final(model, "reference", 0.02, 0.2)
-    coarse, fine = (np.max(np.abs(final(model, scheme, h, 0.2) - exact)) for h in (1e-3, 5e-4))
+    spin = np.array([0.3, -0.2, 0.5, 1.0, -2.0, 1.5])  # where a scheme that adds up angles loses its order
+    exact = final(model, "reference", 0.02, 0.2, spin)
+    steps = (2e-3, 1e-3) if scheme == "rk4" else (1e-3, 5e-4)
+    coarse, fine = (np.max(np.abs(final(model, scheme, h, 0.2, spin) - exact)) for h in steps)
+    assert abs(np.log2(coarse / fine) - ORDERS[scheme]) < 0.15
+
+
+def test_order_and_size_of_the_error_on_a_known_arm() -> None:
+    """UR5 of example-robot-data on springs of 10 and 2 kN m/rad."""
+    model = FlexibleJointModel(ur5(), [])
+    exact = final(model, "reference", 0.02, 0.1)
+    coarse, fine = (np.max(np.abs(final(model, DEFAULT, h, 0.1) - exact)[: model.nq]) for h in (1e-3, 5e-4))
     assert 1.85 < np.log2(coarse / fine) < 2.15
+    assert coarse < 1.2e-4  # rad
 
 
 def test_the_reference_is_exact_where_the_exact_solution_is_known() -> None:
@@ -199,6 +233,23 @@ def test_every_scheme_runs_with_every_sort_of_effect(case: str, scheme: str) -> 
     assert np.max(np.abs(fine.theta[-1] - fine.theta[fine.first])) > 1e-2
 
 
+@pytest.mark.parametrize("scheme", sorted(set(SCHEMES) - NUMBERS_ONLY))
+@pytest.mark.parametrize("case", CASES)
+def test_expressions_step_as_numbers_do(case: str, scheme: str) -> None:
+    numeric = CASES[case]
+    symbolic = FlexibleJointModel(numeric.robot, numeric.effects, SymbolicBody)
+    x, u = ca.SX.sym("x", numeric.nx), ca.SX.sym("u", len(numeric.joints))
+    after = make_step(symbolic, 1e-3, scheme, WIDTH)(symbolic.unpack(x, 0.0), u)
+    step = ca.Function("step", [x, u], [symbolic.pack(after), after.tau_rigid])
+    start, torque = moving(numeric), 4.0 * np.cos(np.arange(len(numeric.joints)))
+    start.theta = start.theta + 0.01
+    expected = make_step(numeric, 1e-3, scheme, WIDTH)(start, torque)
+    got, tau_rigid = (np.array(out).ravel() for out in step(numeric.pack(start), torque))
+    # two orders of the same sums
+    np.testing.assert_allclose(got, numeric.pack(expected), rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(tau_rigid, expected.tau_rigid, rtol=1e-10, atol=1e-10)
+
+
 @pytest.mark.parametrize("scheme", sorted(STICKING))
 def test_dry_friction_sticks_in_schemes_that_take_it_as_a_set(scheme: str) -> None:
     for effect, rigid in (
@@ -242,6 +293,18 @@ def test_newton_that_does_not_converge_names_step_and_joint(monkeypatch: pytest.
     broken = Planned(plan("quadratic_drag", "knee", {}).effect, "knee", {"coefficient": math.nan})
     with pytest.raises(SimulationError, match="did not converge"):
         make_step(FlexibleJointModel(make(PLANAR), [broken]), 1e-3, "implicit_midpoint")(x, np.zeros(2))
+
+
+def test_newton_converges_on_friction_smoothed_as_sharply_as_wanted() -> None:
+    model = FlexibleJointModel(make(PENDULUM), [plan("motor_coulomb_friction", "joint", {"level": 1.0})])
+    torque = waves(1, 300, 1000)
+    runs = [
+        rollout(model, model.rest(), torque, 1000.0, scheme="implicit_midpoint", width=w).theta
+        for w in (1e-2, 1e-4, 1e-6)
+    ]
+    sets = rollout(model, model.rest(), torque, 1000.0).theta  # the default: a width of 0
+    errors = [np.max(np.abs(run - sets)) for run in runs]
+    assert errors[1] < 0.1 * errors[0] and errors[2] < 2e-4  # order 1 where motions begin and end
 
 
 def test_schemes_that_iterate_refuse_expressions() -> None:
