@@ -223,6 +223,10 @@ class LiveSimulation:
         tau_t = run.x.tau_rigid[model.rigid.index(i)] if model.joints[i].rigid else s.tau_t
         return JointState(float(s.theta), float(s.dtheta), tau_m, float(s.q), float(s.dq), float(tau_t))
 
+    def states(self) -> dict[str, JointState]:
+        """The true state of every joint by name."""
+        return {joint: self.state(joint) for joint in self.joints}
+
     @property
     def full_state(self) -> State:
         """A copy of the whole state, floating base and internal states of effects included."""

@@ -213,18 +213,19 @@ RUNS: Mapping[str, tuple[str, float]] = {
 }
 
 
-def step_tables(transmission: str = "K188") -> tuple[Table, Table]:
+def step_tables(transmission: str = "K188", seconds: float = STEP_SECONDS) -> tuple[Table, Table]:
     """The step response of every run against exact held control, and against exact continuous control."""
-    runs = {name: held(transmission, scheme=s, physics=rate) for name, (s, rate) in RUNS.items()}
-    exact_held, continuous = held(transmission, scheme="reference"), exact(transmission)
-    beside = {"fixed-step, continuous control": fixed_step(transmission), "exact held control": exact_held}
+    runs = {name: held(transmission, STEP, seconds, scheme, rate) for name, (scheme, rate) in RUNS.items()}
+    exact_held = held(transmission, STEP, seconds, "reference")
+    continuous = exact(transmission, STEP, seconds)
+    beside = {
+        "fixed-step, continuous control": fixed_step(transmission, STEP, seconds),
+        "exact held control": exact_held,
+    }
+    title = f"{transmission}, 1 rad step, {seconds:g} s: against exact"
     return (
-        _table(f"{transmission}, 1 rad step, 5 s: against exact HELD control", runs, exact_held),
-        _table(
-            f"{transmission}, 1 rad step, 5 s: against exact CONTINUOUS control",
-            {**runs, **beside},
-            continuous,
-        ),
+        _table(f"{title} HELD control", runs, exact_held),
+        _table(f"{title} CONTINUOUS control", {**runs, **beside}, continuous),
     )
 
 

@@ -54,9 +54,9 @@ def test_steps_give_what_a_whole_run_gives_bit_for_bit() -> None:
 
 def test_it_stays_where_it_starts() -> None:
     sim = LiveSimulation(planar(initial={"hip": 0.7, "knee": -0.3}))
-    before = [sim.state(joint) for joint in sim.joints]
+    before = sim.states()
     sim.run(1.0)
-    for joint, start in zip(sim.joints, before, strict=True):
+    for joint, start in before.items():
         now, was = asdict(sim.state(joint)), asdict(start)
         assert was.pop("tau_m") == 0.0 and now["tau_m"] == pytest.approx(was["tau_t"], rel=1e-9)
         assert {k: now[k] for k in was} == pytest.approx(was, abs=1e-9)  # rounding of a balance of 10 N m

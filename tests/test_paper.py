@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -204,6 +205,7 @@ def test_the_command_prints_the_tables(
 ) -> None:
     monkeypatch.setattr(paper, "TRANSMISSIONS", {"K188": paper.TRANSMISSIONS["K188"]})
     monkeypatch.setattr(paper, "RUNS", {"rk4, 1 kHz": ("rk4", 1000.0)})
+    monkeypatch.setattr(paper, "step_tables", partial(paper.step_tables, seconds=1.0))  # all of the motion
     monkeypatch.setenv("COLUMNS", "120")
     assert main(["paper", "one-link", "--steps-only"]) == 0
     printed = capsys.readouterr().out
