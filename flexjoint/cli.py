@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
@@ -44,6 +46,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _say(message: str, code: int) -> int:
     print(f"flexjoint: {' '.join(message.split())}", file=sys.stderr)
     return code
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Warnings as one line on standard error, without the place in the code."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_rest: _warn(str(message))
+        yield
+
+
+def _warn(message: str) -> None:
+    print(f"flexjoint: warning: {message}", file=sys.stderr)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -85,6 +99,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     simulate.add_argument(
         "--out", type=Path, required=True, metavar="REC", help="recording to write (.csv or .parquet)"
+    )
+    simulate.add_argument("--scheme", metavar="NAME", help="integration scheme (docs/simulation.md)")
+    simulate.add_argument(
+        "--width", type=float, metavar="W", help="[rad/s] over which schemes that need it smooth dry friction"
     )
     simulate.set_defaults(run=_simulate)
 
@@ -169,6 +187,7 @@ def _compare(arguments: argparse.Namespace) -> None:
 def _simulate(arguments: argparse.Namespace) -> None:
     from flexjoint import cli_outputs, recording, robot
     from flexjoint.checks import check_joints
+    from flexjoint.integrate import DEFAULT
     from flexjoint.model import FlexibleJointModel
     from flexjoint.simulate import simulate
 
@@ -176,7 +195,11 @@ def _simulate(arguments: argparse.Namespace) -> None:
     loaded = robot.load(arguments.robot)
     reference = recording.read(arguments.reference)
     check_joints(loaded, reference)
-    result = simulate(FlexibleJointModel(loaded), reference).measured
+    scheme = arguments.scheme or DEFAULT
+    with _plain_warnings():
+        result = simulate(
+            FlexibleJointModel(loaded), reference, scheme=scheme, width=arguments.width
+        ).measured
     recording.write(result, arguments.out)
     print(f"wrote {arguments.out}: {result.duration:.4g} s of {', '.join(result.joints)}")
 

@@ -6,10 +6,12 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from arms import PENDULUM, PLANAR, SPATIAL, make
 
+from flexjoint import ops
 from flexjoint.clockwork import REFERENCES, closed_loop, rollout
 from flexjoint.control import law_of
 from flexjoint.effect import plan
@@ -18,6 +20,7 @@ from flexjoint.integrate import DEFAULT, SCHEMES, make_step
 from flexjoint.live import KEPT, LiveSimulation
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.springs import VariableSpring
+from flexjoint.symbolic_body import SymbolicBody
 
 
 def planar(**top: Any) -> FlexibleJointModel:
@@ -219,6 +222,20 @@ def test_a_jump_of_stiffness_moves_no_torque_but_that_of_the_spring() -> None:
     rest = sim.state("joint")
     assert rest.q == pytest.approx(0.5, abs=1e-5)
     assert rest.theta - rest.q == pytest.approx(phi / 2, rel=1e-3)  # half the deflection carries the load
+
+
+def test_a_commanded_stiffness_of_an_expression_steps_as_numbers_do() -> None:
+    springs = {"knee": VariableSpring(lambda t: STIFF - SOFT * ops.sin(12.0 * t))}
+    numeric = FlexibleJointModel(make(PLANAR), [], springs=springs)
+    symbolic = FlexibleJointModel(make(PLANAR), [], SymbolicBody, springs=springs)
+    x, t = ca.SX.sym("x", numeric.nx), ca.SX.sym("t")
+    torque = np.array([6.0, -3.0])
+    for scheme in (DEFAULT, "rk4"):
+        after = make_step(symbolic, 1e-3, scheme)(symbolic.unpack(x, t), ca.SX(torque))
+        got = ca.Function("step", [x, t], [symbolic.pack(after)])(numeric.pack(start(numeric)), 0.2)
+        begin = numeric.unpack(numeric.pack(start(numeric)), 0.2)
+        expected = numeric.pack(make_step(numeric, 1e-3, scheme)(begin, torque))
+        np.testing.assert_allclose(np.array(got).ravel(), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_a_constant_command_is_the_plain_spring() -> None:

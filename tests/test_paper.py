@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +21,10 @@ from flexjoint.errors import ModelError, UnknownNameError
 from flexjoint.model import FlexibleJointModel
 from flexjoint.paper import Motion
 from flexjoint.profile import tomei
+from flexjoint.recording import make as make_recording
+from flexjoint.recording import write
 from flexjoint.reference import continuous_control
+from flexjoint.robot import load
 
 FACTS = {  # peak, max |theta - q|, max |tau_t|, saturated, settling: as printed, continuous control
     "K100": ("1.061", "0.0932", "9.33", "0.693", "1.36"),
@@ -211,3 +215,23 @@ def test_the_command_prints_the_tables(
     printed = capsys.readouterr().out
     for words in ("11.20", "HELD", "CONTINUOUS", "RMS / range", "3.5e-08", "0.00034"):
         assert words in printed
+
+
+def test_simulate_takes_a_scheme_and_warns_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stiff = tmp_path / "stiff.yaml"
+    robot = load("rrbot_last_joint")
+    text = robot.path.read_text().replace("stiffness: 188", "stiffness: 60000")
+    stiff.write_text(text.replace("urdf: rrbot.urdf", f"urdf: {robot.urdf}"))
+    told = tmp_path / "told.csv"
+    time = np.arange(60) / 1000
+    write(make_recording(time, {("q_ref", "joint2"): np.full(60, 0.1)}), told)
+    words = ["simulate", "--robot", str(stiff), "--reference", str(told), "--out", str(tmp_path / "out.csv")]
+    assert main([*words, "--scheme", "kashiri2017"]) == 0
+    warned = capsys.readouterr().err
+    assert warned.startswith("flexjoint: warning: kashiri2017 cannot hold the spring of joint joint2")
+    assert warned.count("\n") == 1
+    assert main([*words, "--scheme", "euler"]) == 2
+    assert "explicit_euler" in capsys.readouterr().err
+    assert main(words) == 0 and capsys.readouterr().err == ""
