@@ -104,11 +104,19 @@ class FullState(Saturated):
     reads: ClassVar[tuple[str, ...]] = ("q", "dq", "theta", "dtheta", "tau_t")
 
     def demand(self, reference: Mapping[str, Value], reading: Mapping[str, Value]) -> Value:
-        rate = reference["dtheta_ref"]
-        motor = self.kp * (reference["theta_ref"] - reading["theta"]) + self.kd * (rate - reading["dtheta"])
-        link = self.kp_link * (reference["q_ref"] - reading["q"]) + self.kd_link * (rate - reading["dq"])
-        load = reference["tau_ff"]
-        return load + motor + link + self.k_torque * (load - reading["tau_t"])
+        rate, load = reference["dtheta_ref"], reference["tau_ff"]
+        # in this order, so that with the gains of MotorPD alone it is MotorPD to the last bit
+        tau = load + self.kp * (reference["theta_ref"] - reading["theta"])
+        tau = tau + self.kd * (rate - reading["dtheta"])
+        tau = tau + self.kp_link * (reference["q_ref"] - reading["q"])
+        tau = tau + self.kd_link * (rate - reading["dq"])
+        return tau + self.k_torque * (load - reading["tau_t"])
+
+    @classmethod
+    def extending(cls, law: MotorPD) -> FullState:
+        """The same law with room for the gains that it lacks."""
+        none = np.zeros(np.shape(law.kp))
+        return cls(law.kp, law.kd, none, none, none, law.limit)
 
 
 @dataclass(frozen=True)
@@ -197,17 +205,22 @@ def gain_names(law: Any) -> tuple[str, ...]:
 
 
 def gains_of(law: Any, place: int) -> dict[str, float]:
-    """The gains of the joint at that place, by name."""
+    """The gains of the joint at that place, by name. A MotorPD has the five of FullState, three of them 0."""
     part, at = _part_of(law, place)
+    part = FullState.extending(part) if isinstance(part, MotorPD) else part
     return {name: float(getattr(part, name)[at]) for name in gain_names(part)}
 
 
 def with_gain(law: Any, place: int, name: str, value: float) -> Any:
-    """The law with one gain of the joint at that place changed.
+    """The law with one gain of the joint at that place changed; a MotorPD that is given one that it lacks
+    becomes a FullState.
 
     Raises UnknownNameError; RobotError for a value that is no number, or a limit that is not above 0.
     """
     part, at = _part_of(law, place)
+    old = part
+    if isinstance(part, MotorPD) and name not in gain_names(MotorPD):
+        part = FullState.extending(part)
     if name not in gain_names(part):
         raise unknown("gain", name, gain_names(part))
     if math.isnan(value) or (math.isinf(value) and name != LIMIT) or (name == LIMIT and not value > 0.0):
@@ -219,7 +232,7 @@ def with_gain(law: Any, place: int, name: str, value: float) -> Any:
     part = replace(part, **{name: changed})
     if not isinstance(law, Mixed):
         return part
-    return Mixed(tuple((places, part if place in places else other) for places, other in law.parts))
+    return Mixed(tuple((places, part if other is old else other) for places, other in law.parts))
 
 
 def _part_of(law: Any, place: int) -> tuple[Any, int]:

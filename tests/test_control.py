@@ -87,16 +87,29 @@ def test_joints_may_have_different_laws() -> None:
 
 
 def test_gains_are_read_and_changed_by_joint_and_name() -> None:
+    none = {"kp_link": 0.0, "kd_link": 0.0, "k_torque": 0.0}
     for robot in (make(PLANAR), make(PLANAR, {"hip": {"controller": "link_pd"}})):
         old = law_of(robot)
         new = with_gain(old, 1, "kp", 7.0)
-        assert gains_of(old, 1) == {"kp": 1500.0, "kd": 15.0, "limit": 60.0}
+        assert gains_of(old, 1) == {"kp": 1500.0, "kd": 15.0, "limit": 60.0, **none}
         assert gains_of(new, 1)["kp"] == 7.0 and gains_of(new, 0) == gains_of(old, 0)
-        with pytest.raises(UnknownNameError, match="kd, kp, limit"):
+        with pytest.raises(UnknownNameError, match="k_torque, kd, kd_link, kp, kp_link, limit"):
             with_gain(old, 1, "ki", 1.0)
         for name, value in (("kp", math.nan), ("limit", 0.0), ("kd", math.inf)):
             with pytest.raises(RobotError, match=f"gain {name}"):
                 with_gain(old, 1, name, value)
+
+
+def test_a_motor_pd_that_gets_another_gain_becomes_a_full_state_law() -> None:
+    told, seen = ({k: np.full(2, v) for k, v in table.items()} for table in (TOLD, SEEN))
+    plain = law_of(make(PLANAR))
+    same = with_gain(plain, 0, "kp_link", 0.0)
+    assert isinstance(same, FullState)
+    np.testing.assert_array_equal(same.torque(told, seen), plain.torque(told, seen))  # to the last bit
+    other = with_gain(plain, 0, "kp_link", 2.0)
+    np.testing.assert_allclose(
+        other.demand(told, seen) - plain.demand(told, seen), [2.0 * 0.4, 0.0], atol=1e-9
+    )
 
 
 # ------------------------------------------------------------------ in the loop

@@ -93,14 +93,18 @@ def test_commands_act_from_the_next_tick_on_and_keep_what_is_not_named() -> None
 
 def test_gains_are_read_and_set_while_it_runs() -> None:
     sim = LiveSimulation(planar())
-    assert sim.gains("hip") == {"kp": 2600.0, "kd": 30.0, "limit": 110.0}
+    none = {"kp_link": 0.0, "kd_link": 0.0, "k_torque": 0.0}
+    assert sim.gains("hip") == {"kp": 2600.0, "kd": 30.0, "limit": 110.0, **none}
     sim.run(0.1)
     sim.set_gain("hip", "limit", 1.5)
     sim.command("hip", position=1.0)
     sim.step()
     assert sim.state("hip").tau_m == 1.5
     assert sim.gains("knee")["limit"] == 60.0
-    with pytest.raises(UnknownNameError, match="kd, kp, limit"):
+    sim.set_gain("knee", "kd_link", 1.0)
+    sim.run(0.01)
+    assert sim.gains("knee")["kd_link"] == 1.0
+    with pytest.raises(UnknownNameError, match="k_torque, kd, kd_link, kp, kp_link, limit"):
         sim.set_gain("hip", "ki", 1.0)
     with pytest.raises(RobotError, match="gain limit"):
         sim.set_gain("hip", "limit", -1.0)
