@@ -26,6 +26,7 @@ from flexjoint.stability import linearised
 RTOL, ATOL = 1e-11, 1e-12  # of the explicit solver
 LOOSER = 1e2  # on both tolerances of the implicit solver, whose Newton iterations end at rounding
 STIFF = 30.0  # max |lambda| h above which an explicit solver takes many steps within h
+FIRST = 1e-3  # [s] first step that continuous control tries after a restart
 LOOKS = 2  # places within a solver's step where saturation is looked for
 SAME_TIME = 1e-12  # [s]
 AFTER = 2e-9  # [s] right after a jump, beyond what `flexjoint.profile` counts as its time
@@ -105,8 +106,7 @@ def continuous_control(
     times = np.asarray(times, dtype=float)
     loop = _Loop(model, law, references)
     flow = _Flow(model, start, width, loop.torque)
-    # a solver may take long steps here, so their stiffness is that of a step of the wanted grid
-    chosen = _method(model, start, float(np.max(np.diff(times))) if len(times) > 1 else 1e-3, method)
+    chosen = _method(model, start, FIRST, method)
     rows: list[np.ndarray] = []
     y, t, k = flow.start, start.t, 0
     inner = sorted(b for b in breaks if start.t < b < times[-1])
@@ -115,7 +115,7 @@ def continuous_control(
         loop.after(t)
         loop.mode = loop.modes(t, flow.state(t, y))
         while t < until - SAME_TIME:
-            solver = _solver(chosen, flow, t, y, until, min(1e-3, until - t))
+            solver = _solver(chosen, flow, t, y, until, FIRST)
             while solver.status == "running":
                 _advance(solver)
                 dense = solver.dense_output()  # also of a step without rows: an event may lie within

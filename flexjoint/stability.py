@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexjoint.errors import StabilityWarning
+from flexjoint.errors import StabilityWarning, unknown
 from flexjoint.model import FlexibleJointModel, State
 
 # Implicit, or with a step of its own: no spring is too stiff for them.
@@ -42,7 +42,14 @@ class Stability:
 
 
 def stability(model: FlexibleJointModel, x: State, h: float, scheme: str) -> Stability:
-    """The estimate at a state for a step h [s]; the scheme by its name in `flexjoint.integrate`."""
+    """The estimate at a state for a step h [s]; the scheme by its name in `flexjoint.integrate`.
+
+    Raises UnknownNameError.
+    """
+    from flexjoint.integrate import SCHEMES  # which imports this module
+
+    if scheme not in SCHEMES:
+        raise unknown("scheme", scheme, SCHEMES)
     A = linearised(model, x)
     lambda_h = h * float(np.max(np.abs(np.linalg.eigvals(A))))
     if scheme in A_STABLE:

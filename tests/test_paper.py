@@ -156,6 +156,17 @@ def test_the_varying_reference_is_read_from_the_left_by_all() -> None:
     assert abs(exact.tau_m[at_step]) < 5.0 and exact.tau_m[at_step + 1] == -33.0
 
 
+def test_ramp_and_step_beside_the_papers_figures() -> None:
+    """The varying reference past its step; the chirp adds nothing to the maxima."""
+    rows = paper.varying_table(seconds=paper.RAMP + 1.0).rows
+    largest = {name: {s: f"{d.max:.1e}" for s, d in found.items()} for name, found in rows.items()}
+    assert largest["default scheme, 1 kHz"] == {"q": "1.9e-03", "tau_t": "2.3e-01", "tau_m": "1.4e+00"}
+    assert largest["kashiri2017, 1 kHz"] == {"q": "1.6e-03", "tau_t": "2.3e-01", "tau_m": "1.4e+00"}
+    right = largest["default scheme, read from the right"]
+    assert (right["q"], right["tau_t"]) == ("3.1e-04", "4.4e-02")  # below the paper's 1.2e-3 and 0.12
+    assert float(right["tau_m"]) == pytest.approx(32.0, abs=0.5)  # one sample out of place
+
+
 def test_saturation_begins_and_ends_where_it_is_located() -> None:
     """The exact solution on two grids: with events located it depends on neither."""
     coarse, fine = paper.exact("K188", seconds=1.5), _on_grid(np.arange(300) * 5e-3)

@@ -16,12 +16,13 @@ from flexjoint import implicit
 from flexjoint.body import PinBody
 from flexjoint.clockwork import rollout
 from flexjoint.effect import Planned, plan
-from flexjoint.errors import ModelError, SimulationError, StabilityWarning
+from flexjoint.errors import ModelError, SimulationError, StabilityWarning, UnknownNameError
 from flexjoint.integrate import DEFAULT, NUMBERS_ONLY, SCHEMES, STICKING, kashiri2017, make_step
 from flexjoint.model import FlexibleJointModel, State
+from flexjoint.reference import Method, reference
 from flexjoint.robot import Robot, build
 from flexjoint.robot_schema import parse
-from flexjoint.stability import stability
+from flexjoint.stability import A_STABLE, stability
 from flexjoint.symbolic_body import SymbolicBody
 
 ORDERS = {
@@ -131,6 +132,16 @@ def test_the_reference_turns_to_an_implicit_solver_where_it_is_stiff() -> None:
     assert end.v[0] == pytest.approx(speed, abs=2e-5)  # the fast mode takes damping/stiffness = 2 ms times..
 
 
+@pytest.mark.parametrize("method", ["DOP853", "Radau", "LSODA"])
+def test_the_solvers_of_the_reference_agree(method: Method) -> None:
+    model = FlexibleJointModel(make(PLANAR), [])
+    ends = [
+        model.pack(reference(model, 0.1, None, m)(moving(model), np.array([6.0, -3.0])))
+        for m in ("DOP853", method)
+    ]
+    np.testing.assert_allclose(ends[1], ends[0], atol=2e-7)  # the looser tolerances of 1e-9, over 0.1 s
+
+
 # ------------------------------------------------------------------ conserved quantities
 def test_the_implicit_midpoint_keeps_the_energy_of_a_lossless_robot() -> None:
     lossless = {name: {"damping": 0.0, "motor_damping": 0.0} for name in ("hip", "knee")}
@@ -170,6 +181,13 @@ def test_a_scheme_that_cannot_hold_a_spring_warns_and_names_the_joint(scheme: st
         pytest.raises(SimulationError, match=r"left the finite numbers at joint \w+, t = "),
     ):
         rollout(FlexibleJointModel(stiff, []), moving(model), np.zeros((20000, 2)), 500.0, scheme=scheme)
+
+
+def test_only_known_schemes_are_estimated() -> None:
+    model = FlexibleJointModel(make(PENDULUM), [])
+    assert set(SCHEMES) >= A_STABLE
+    with pytest.raises(UnknownNameError, match="rk4"):
+        stability(model, model.rest(), 1e-3, "rk5")
 
 
 @every_scheme
