@@ -26,6 +26,7 @@ from flexjoint.errors import SimulationError, unknown
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.springs import VariableSpring
+from flexjoint.stability import check_stability
 from flexjoint.start import at_rest, initial_positions
 
 KEPT = 4096  # rows of the motion behind the present one; delays need far fewer
@@ -62,6 +63,12 @@ class _Cell:
 
     def __init__(self, stiffness: float, damping: float) -> None:
         self.stiffness, self.damping = stiffness, damping
+
+    def take(self, told: JointCommand) -> bool:
+        """Hold what is told from now on; whether it is anything new."""
+        held, new = (self.stiffness, self.damping), (told.stiffness, told.damping)
+        self.stiffness, self.damping = new
+        return held != new
 
     def spring(self) -> VariableSpring:
         return VariableSpring(lambda _t: self.stiffness, lambda _t: self.damping)
@@ -128,9 +135,9 @@ class LiveSimulation:
     def _command(self, now: Runner) -> np.ndarray:
         if not self._ticks.acts(now.done):
             return now.held
-        for name, cell in self._cells.items():
-            told = self._commands[name]
-            cell.stiffness, cell.damping = told.stiffness, told.damping
+        changed = [cell.take(self._commands[name]) for name, cell in self._cells.items()]
+        if any(changed):
+            check_stability(now.model, now.x, now.h, now.scheme)
         told_all = [self._commands[name] for name in self.joints]
         references = {
             name: np.array([getattr(told, name) for told in told_all])

@@ -140,6 +140,14 @@ def test_it_warns_and_never_returns_what_is_not_finite() -> None:
         sim.run(20.0)
 
 
+def test_a_commanded_stiffness_that_a_scheme_cannot_hold_warns() -> None:
+    sim = LiveSimulation(planar(), scheme="kashiri2017")
+    sim.run(0.01)
+    sim.command("knee", stiffness=8e5)
+    with pytest.warns(StabilityWarning, match="spring of joint knee"):
+        sim.step()
+
+
 def test_a_floating_base_and_a_free_joint_run_live() -> None:
     sim = LiveSimulation(FlexibleJointModel(make(SPATIAL, {"pitch": None}, base="floating"), []))
     sim.run(0.2)
