@@ -33,7 +33,8 @@ docs: .venv/.demo
 	mv docs/effects.md.new docs/effects.md
 
 pictures: .venv/.test
-	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures $(BIN)/jupyter execute notebooks/effect_of_stiffness.ipynb
+	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \
+	$(BIN)/python -m pytest tests/test_notebooks.py -k "runs_and_draws and effect_of_stiffness"
 
 # installed once; again when pyproject.toml changes
 .venv/.demo: pyproject.toml | $(BIN)/python

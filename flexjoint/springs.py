@@ -19,7 +19,8 @@ Signal = Callable[[Value], Value]
 class VariableSpring:
     """Stiffness [N m/rad] and damping [N m s/rad] as functions of the time t [s]; without `damping` it stays
     the joint's. On CasADi models t is an expression: write the functions with `flexjoint.ops`. What is worked
-    out ahead of a motion (the static law, the estimate of stability) takes them at its start."""
+    out ahead of a motion takes one value: the static law that at t = 0, the estimate of stability that at the
+    start."""
 
     stiffness: Signal
     damping: Signal | None = None
