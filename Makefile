@@ -7,13 +7,14 @@ OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint docs clean
+.PHONY: help demo test lint docs pictures clean
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
 	@echo "make test   style, types and all tests"
 	@echo "make lint   style and types only"
 	@echo "make docs   regenerate docs/effects.md"
+	@echo "make pictures   draw the pictures of notebooks/effect_of_stiffness.ipynb anew"
 	@echo "make clean  remove .venv and everything that was built"
 
 demo: .venv/.demo
@@ -30,6 +31,10 @@ lint: .venv/.test
 docs: .venv/.demo
 	$(BIN)/flexjoint effects --markdown > docs/effects.md.new
 	mv docs/effects.md.new docs/effects.md
+
+pictures: .venv/.test
+	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \
+	$(BIN)/python -m pytest tests/test_notebooks.py -k "runs_and_draws and effect_of_stiffness"
 
 # installed once; again when pyproject.toml changes
 .venv/.demo: pyproject.toml | $(BIN)/python

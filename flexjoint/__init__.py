@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from flexjoint.diagnosis import Diagnosis
     from flexjoint.effect import Effect, catalogue, plan
     from flexjoint.errors import FlexJointError
+    from flexjoint.live import LiveSimulation
     from flexjoint.model import FlexibleJointModel
     from flexjoint.recording import Recording
     from flexjoint.recording import read as read_recording
@@ -30,6 +31,7 @@ __all__ = [
     "Effect",
     "FlexJointError",
     "FlexibleJointModel",
+    "LiveSimulation",
     "Recording",
     "Robot",
     "catalogue",
@@ -47,6 +49,7 @@ _PLACES = {
     "Effect": ("effect", "Effect"),
     "FlexJointError": ("errors", "FlexJointError"),
     "FlexibleJointModel": ("model", "FlexibleJointModel"),
+    "LiveSimulation": ("live", "LiveSimulation"),
     "Recording": ("recording", "Recording"),
     "Robot": ("robot", "Robot"),
     "rigid_body_functions": ("symbolic_functions", "rigid_body_functions"),

@@ -115,6 +115,10 @@ class PinBody:
         """The velocity (nv,) that leads from q0 to q1 in a unit time."""
         return pin.difference(self._model, q0, q1)
 
+    def integrate_slope(self, q: np.ndarray, dv: np.ndarray) -> np.ndarray:
+        """(nv, nv) change of `integrate(q, dv)`, in its tangent space, by dv."""
+        return np.array(pin.dIntegrate(self._model, q, dv, pin.ARG1))
+
     def frame_placement(self, q: np.ndarray, frame: str) -> np.ndarray:
         """(4, 4) homogeneous placement of a frame in the base."""
         index = find_frame(self._frames, frame)

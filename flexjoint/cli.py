@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | theta-d | demo | robots | effects`.
+"""The command line: `flexjoint diagnose | compare | simulate | theta-d | demo | robots | effects | paper`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. Heavy modules are imported by the commands that need them.
@@ -9,10 +9,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
+from flexjoint import cli_paper
 from flexjoint.errors import FlexJointError
 
 UNUSABLE = 2
@@ -43,6 +46,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _say(message: str, code: int) -> int:
     print(f"flexjoint: {' '.join(message.split())}", file=sys.stderr)
     return code
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Warnings as one line on standard error, without the place in the code."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_rest: _warn(str(message))
+        yield
+
+
+def _warn(message: str) -> None:
+    print(f"flexjoint: warning: {message}", file=sys.stderr)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -85,6 +100,10 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--out", type=Path, required=True, metavar="REC", help="recording to write (.csv or .parquet)"
     )
+    simulate.add_argument("--scheme", metavar="NAME", help="integration scheme (docs/simulation.md)")
+    simulate.add_argument(
+        "--width", type=float, metavar="W", help="[rad/s] over which schemes that need it smooth dry friction"
+    )
     simulate.set_defaults(run=_simulate)
 
     theta_d = commands.add_parser("theta-d", help="motor positions and torques that hold given poses")
@@ -113,6 +132,8 @@ def _parser() -> argparse.ArgumentParser:
     effects = commands.add_parser("effects", help="list the physical effects it knows")
     effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
     effects.set_defaults(run=_effects)
+
+    cli_paper.add(commands)
     return parser
 
 
@@ -182,6 +203,7 @@ def _compare(arguments: argparse.Namespace) -> None:
 def _simulate(arguments: argparse.Namespace) -> None:
     from flexjoint import cli_outputs, recording, robot
     from flexjoint.checks import check_joints
+    from flexjoint.integrate import DEFAULT
     from flexjoint.model import FlexibleJointModel
     from flexjoint.simulate import simulate
 
@@ -189,7 +211,11 @@ def _simulate(arguments: argparse.Namespace) -> None:
     loaded = robot.load(arguments.robot)
     reference = recording.read(arguments.reference)
     check_joints(loaded, reference)
-    result = simulate(FlexibleJointModel(loaded), reference).measured
+    scheme = arguments.scheme or DEFAULT
+    with _plain_warnings():
+        result = simulate(
+            FlexibleJointModel(loaded), reference, scheme=scheme, width=arguments.width
+        ).measured
     recording.write(result, arguments.out)
     print(f"wrote {arguments.out}: {result.duration:.4g} s of {', '.join(result.joints)}")
 

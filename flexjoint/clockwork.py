@@ -1,4 +1,4 @@
-"""The clockwork: physics at f_s, controller at f_c by an integer tick counter, and what the sensors say.
+"""The clockwork: physics at f_s, controller at f_c by an integer tick counter, delays, onsets of effects.
 
 Time t [s] counts from the start of the recording, as for laws of effects and their `since`.
 """
@@ -6,71 +6,73 @@ Time t [s] counts from the start of the recording, as for laws of effects and th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from fractions import Fraction
 
 import numpy as np
 
 from flexjoint.control import Law
-from flexjoint.effect import SENSOR_CHANNELS, Signals
+from flexjoint.effect import SENSOR_CHANNELS
 from flexjoint.errors import FlexJointError, SimulationError
-from flexjoint.integrate import DEFAULT, check_stability, make_step
+from flexjoint.integrate import DEFAULT, make_step
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.robot import Robot
+from flexjoint.sensing import earlier, reading, readings, spans, true_signals
+from flexjoint.stability import check_stability
+from flexjoint.trajectory import Past, Trajectory
+
+__all__ = [
+    "Past",
+    "Runner",
+    "Ticks",
+    "Trajectory",
+    "closed_loop",
+    "longest_delay",
+    "physics_rate",
+    "readings",
+    "rollout",
+    "spans",
+    "true_signals",
+]
 
 WATCH = 64  # steps between two looks for numbers that are not finite
-Command = Callable[["Trajectory", int, FlexibleJointModel], np.ndarray]
+FINEST = 10**6  # denominator of a rate [Hz] as a fraction
+REFERENCES = ("q_ref", "theta_ref", "dtheta_ref", "tau_ff")
+Command = Callable[["Runner"], np.ndarray]
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """A simulated motion on a uniform time grid of R rows, the first `first` of which lie before the start.
+class Ticks:
+    """When the controller acts (Kashiri et al. 2017, equation 7, by integers instead of a remainder of time).
 
-    time (R,) [s]; q (R, nq), v (R, nv); theta, dtheta (R, nf) of the flexible joints; z (R, nz);
-    tau_rigid (R, nr); tau_m (R, n) motor torque commanded at a row and held to the next, before the
-    effects on the command.
+    Both rates are free. Tick j belongs to the time j/f_c; the controller runs at the first physics step that
+    does not lie before it, and its torque is held until the next one. So with an f_s that is no multiple of
+    f_c a command is up to 1/f_s late, and with an f_c above f_s ticks are left out.
     """
 
-    time: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    theta: np.ndarray
-    dtheta: np.ndarray
-    z: np.ndarray
-    tau_rigid: np.ndarray
-    tau_m: np.ndarray
-    first: int = 0
+    def __init__(self, physics: float, control: float) -> None:
+        if not (0.0 < physics < math.inf and 0.0 < control < math.inf):
+            raise SimulationError(f"rates: expected numbers above 0 [Hz], got {physics} and {control}")
+        ratio = Fraction(control).limit_denominator(FINEST) / Fraction(physics).limit_denominator(FINEST)
+        self._ticks, self._steps = ratio.numerator, ratio.denominator
 
-    def state(self, row: int) -> State:
-        """The state at a row, with nothing remembered of the step before."""
-        nv, nf = self.v.shape[1], self.theta.shape[1]
-        return State(
-            float(self.time[row]),
-            self.q[row].copy(),
-            self.v[row].copy(),
-            self.theta[row].copy(),
-            self.dtheta[row].copy(),
-            self.z[row].copy(),
-            np.zeros(nv),
-            np.zeros(nf),
-            self.tau_rigid[row].copy(),
-        )
+    def last(self, step: int) -> int:
+        """The latest tick at or before a physics step."""
+        return step * self._ticks // self._steps
 
+    def acts(self, step: int) -> bool:
+        """Whether the controller runs at a physics step."""
+        return step == 0 or self.last(step) != self.last(step - 1)
 
-@dataclass(frozen=True)
-class Past:
-    """What went before a start, oldest first, on the grid of the simulation: motor torques tau_m (H, n) and
-    q (H, nq), v (H, nv), theta, dtheta (H, nf). Delayed commands and readings look it up."""
-
-    tau_m: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    theta: np.ndarray
-    dtheta: np.ndarray
+    def steps(self, ticks: int) -> int:
+        """Physics steps before the tick of that number."""
+        return -(-ticks * self._steps // self._ticks)
 
 
 def physics_rate(robot: Robot) -> float:
-    """f_s of the clockwork [Hz]: the robot's, raised to a whole multiple of f_c."""
+    """f_s of `simulate` and `compare` [Hz]: the robot's, raised to a whole multiple of f_c, so that every
+    recorded command begins on a sample."""
     control = robot.rates.control
     return control * math.ceil(robot.rates.physics / control - 1e-9)
 
@@ -93,7 +95,9 @@ def rollout(
         scheme, width: see `flexjoint.integrate`.
 
     Raises:
-        SimulationError: wrong shapes, an explicit scheme that diverges, numbers that are not finite.
+        SimulationError: wrong shapes, numbers that are not finite.
+
+    Warns (StabilityWarning) when an explicit scheme cannot hold a spring.
     """
     torque = np.asarray(torque, dtype=float)
     if torque.ndim != 2 or torque.shape[1] != len(model.joints):
@@ -101,10 +105,8 @@ def rollout(
             f"torque: expected (N, {len(model.joints)}), one column per joint, got {torque.shape}"
         )
 
-    def command(_tape: Trajectory, k: int, _model: FlexibleJointModel) -> np.ndarray:
-        return torque[k]
-
-    return _run(model, start, len(torque), rate, command, past, scheme, width)
+    runner = Runner(model, start, rate, len(torque), past, scheme, width)
+    return runner.all(lambda now: torque[now.done])
 
 
 def closed_loop(
@@ -117,91 +119,164 @@ def closed_loop(
     scheme: str = DEFAULT,
     width: float | None = None,
 ) -> Trajectory:
-    """Simulate under a control law sampled at f_c.
+    """Simulate under a control law sampled at f_c, the robot's `rates.control`.
 
     Args:
         references: q_ref, theta_ref, dtheta_ref, tau_ff, each (T, n): one row per control tick, T ticks.
-        rate: steps per second, a whole multiple of the robot's control rate.
+            Where a reference jumps at a tick, the row holds what the controller shall see there: the value
+            from the left, as `flexjoint.profile` samples it, or the one from the right.
+        rate: physics steps per second, any; see `Ticks`.
         past, scheme, width: as for `rollout`.
 
-    Raises:
-        SimulationError: as `rollout`, or a rate that is no multiple of the control rate.
+    Raises and warns as `rollout`.
     """
-    control = model.robot.rates.control
-    steps_per_tick = round(rate / control)
-    if steps_per_tick < 1 or abs(steps_per_tick * control - rate) > 1e-9 * rate:
-        raise SimulationError(
-            f"the physics rate must be a whole multiple of the control rate {control:g} Hz, got {rate:g}"
-        )
-    ticks = len(next(iter(references.values())))
-    sensing = model.robot.file.sensing_delay * rate
+    ticks = Ticks(rate, model.robot.rates.control)
+    count = _check_references(references, len(model.joints))
+    runner = Runner(model, start, rate, ticks.steps(count), past, scheme, width)
+    tables = {name: np.asarray(references[name], dtype=float) for name in REFERENCES}
 
-    def command(tape: Trajectory, k: int, now: FlexibleJointModel) -> np.ndarray:
-        tick, since_tick = divmod(k, steps_per_tick)
-        row = tape.first + k
-        if since_tick:
-            return tape.tau_m[row - 1]
-        reading = {name: _reading(now, tape, row, name, sensing, rate) for name in law.reads}
-        return law.torque({name: values[tick] for name, values in references.items()}, reading)
+    def command(now: Runner) -> np.ndarray:
+        if not ticks.acts(now.done):
+            return now.held
+        tick = ticks.last(now.done)
+        return law.torque({name: values[tick] for name, values in tables.items()}, now.readings(law))
 
-    return _run(model, start, ticks * steps_per_tick, rate, command, past, scheme, width)
+    return runner.all(command)
 
 
-def _run(
-    model: FlexibleJointModel,
-    start: State,
-    steps: int,
-    rate: float,
-    command: Command,
-    past: Past | None,
-    scheme: str,
-    width: float | None,
-) -> Trajectory:
-    h = 1.0 / rate
-    check_stability(model, start, h, scheme)
-    tape = _tape(model, start, steps, h, past)
-    x, done = start, 0
-    try:
-        with np.errstate(over="raise", invalid="raise"):
-            for phase, until in _segments(model, start.t, steps, h):
-                step = make_step(phase, h, scheme, width)
-                late = _late_commands(phase, rate)
-                for k in range(done, until):
-                    row = tape.first + k
-                    tau = command(tape, k, phase)
-                    tape.tau_m[row] = tau
-                    if k == 0 and past is None:
-                        tape.tau_m[:row] = tau
-                    if late:
-                        tau = np.array(tau)
-                        for i, delay in late:
-                            tau[i] = _earlier(tape.tau_m[:, i], row, delay)
-                    x = step(x, tau)
-                    _record(tape, row + 1, x)
-                    done = k + 1
-                    if done % WATCH == 0 and not np.isfinite(x.v).all():
-                        raise FloatingPointError
-    except FlexJointError:
-        raise
-    except (ArithmeticError, ValueError):  # overflow, or a function of infinity
-        raise _diverged(model, tape, tape.first + done, scheme, rate) from None
-    if not np.isfinite(tape.v[-1]).all():
-        raise _diverged(model, tape, tape.first + done, scheme, rate)
-    if steps:
-        tape.tau_m[-1] = tape.tau_m[-2]
-    return tape
+def _check_references(references: Mapping[str, np.ndarray], n: int) -> int:
+    missing = [name for name in REFERENCES if name not in references]
+    if missing:
+        raise SimulationError(f"references: expected {', '.join(REFERENCES)}; {missing[0]} is missing")
+    shapes = {name: np.shape(references[name]) for name in REFERENCES}
+    first = shapes["q_ref"]
+    for name, shape in shapes.items():
+        if len(shape) != 2 or shape[1] != n or shape[0] != first[0]:
+            raise SimulationError(
+                f"references: expected (T, {n}) for each, one row per tick and a column per joint; {name} is"
+                f" {shape}, q_ref {first}"
+            )
+    return first[0]
+
+
+class Runner:
+    """A simulation that runs step by step: the state, the rows behind it, and what holds at this time.
+
+    Args:
+        rate: physics steps per second.
+        steps: rows kept behind the present one, at least what delays look up; as many as will be run for
+            `all`, which returns them. A longer run drops the oldest.
+        past, scheme, width: as for `rollout`.
+    """
+
+    def __init__(
+        self,
+        model: FlexibleJointModel,
+        start: State,
+        rate: float,
+        steps: int,
+        past: Past | None = None,
+        scheme: str = DEFAULT,
+        width: float | None = None,
+    ) -> None:
+        self.rate, self.h, self.scheme, self.width = rate, 1.0 / rate, scheme, width
+        self._begin = start.t
+        self.steps = steps
+        self.tape = _tape(model, start, steps, self.h, past)
+        self.row, self.done = self.tape.first, 0
+        self.x = start
+        self._no_past = past is None
+        self.take(model)
+        check_stability(self.model, start, self.h, scheme)
+
+    def take(self, model: FlexibleJointModel) -> None:
+        """Go on with this model, whose state must have the same form."""
+        self._segments = iter(_segments(model, self._begin, sys.maxsize, self.h))
+        self._sensing = model.robot.file.sensing_delay * self.rate
+        self._enter()
+
+    def _enter(self) -> None:
+        """The model that holds from the present step on."""
+        until = -1
+        while until <= self.done:
+            self.model, until = next(self._segments)
+        self._until = until
+        self._step = make_step(self.model, self.h, self.scheme, self.width)
+        self._late = _late_commands(self.model, self.rate)
+
+    @property
+    def held(self) -> np.ndarray:
+        """(n,) the motor torque commanded last."""
+        return self.tape.tau_m[self.row - 1]
+
+    def readings(self, law: Law) -> dict[str, np.ndarray]:
+        """What a law reads now, by channel."""
+        tape, sensing, rate = self.tape, self._sensing, self.rate
+        return {name: reading(self.model, tape, self.row, name, sensing, rate) for name in law.reads}
+
+    def step(self, command: Command) -> None:
+        """One physics step under the torque that the command gives."""
+        if self.done >= self._until:
+            self._enter()
+        tape = self.tape
+        if self.row + 1 == len(tape.time):
+            self._drop()
+        row = self.row
+        tau = command(self)
+        tape.tau_m[row] = tau
+        if self.done == 0 and self._no_past:
+            tape.tau_m[:row] = tau
+        if self._late:
+            tau = np.array(tau)
+            for i, delay in self._late:
+                tau[i] = earlier(tape.tau_m[:, i].__getitem__, row, delay)
+        x = self._step(self.x, tau)
+        tape.q[row + 1], tape.v[row + 1] = x.q, x.v
+        tape.theta[row + 1], tape.dtheta[row + 1] = x.theta, x.dtheta
+        tape.z[row + 1], tape.tau_rigid[row + 1] = x.z, x.tau_rigid
+        self.x, self.row, self.done = x, row + 1, self.done + 1
+        if self.done % WATCH == 0:
+            self._look()
+
+    def all(self, command: Command) -> Trajectory:
+        """Every step of the tape, as a trajectory."""
+        with self.watched():
+            for _ in range(self.steps):
+                self.step(command)
+        if self.steps:
+            self.tape.tau_m[-1] = self.tape.tau_m[-2]
+        return self.tape
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Steps within raise SimulationError as soon as numbers are no longer finite."""
+        try:
+            with np.errstate(over="raise", invalid="raise"):
+                yield
+                self._look()
+        except FlexJointError:
+            raise
+        except (ArithmeticError, ValueError):  # overflow, or a function of infinity
+            raise _diverged(self) from None
+
+    def _look(self) -> None:
+        if not (np.isfinite(self.x.v).all() and np.isfinite(self.x.dtheta).all()):
+            raise FloatingPointError
+
+    def _drop(self) -> None:
+        """Make room: keep the rows that delays look up, and the present one."""
+        tape, kept = self.tape, slice(self.row - self.tape.first, self.row + 1)
+        for name in ("q", "v", "theta", "dtheta", "z", "tau_rigid", "tau_m"):
+            rows = getattr(tape, name)
+            rows[: tape.first + 1] = rows[kept].copy()
+        self.row = tape.first
+        tape.time[:] = self._begin + self.h * (np.arange(len(tape.time)) - tape.first + self.done)
 
 
 def _late_commands(model: FlexibleJointModel, rate: float) -> list[tuple[int, float]]:
     """Joints whose command arrives late, with the delay in steps."""
     flows = enumerate(model.flows)
     return [(i, flow.command_delay() * rate) for i, flow in flows if flow.max_command_delay > 0.0]
-
-
-def _record(tape: Trajectory, row: int, x: State) -> None:
-    tape.q[row], tape.v[row] = x.q, x.v
-    tape.theta[row], tape.dtheta[row] = x.theta, x.dtheta
-    tape.z[row], tape.tau_rigid[row] = x.z, x.tau_rigid
 
 
 def _tape(model: FlexibleJointModel, start: State, steps: int, h: float, past: Past | None) -> Trajectory:
@@ -245,92 +320,14 @@ def _segments(
     return segments
 
 
-def _earlier(column: np.ndarray, row: int, delay: float) -> float:
-    """A column `delay` rows before a row, by linear interpolation; the first row holds before it."""
-    place = max(row - delay, 0.0)
-    low = int(place)
-    share = place - low
-    return column[low] if share == 0.0 else (1.0 - share) * column[low] + share * column[low + 1]
-
-
-def _diverged(
-    model: FlexibleJointModel, tape: Trajectory, row: int, scheme: str, rate: float
-) -> SimulationError:
-    speed = np.abs(tape.v[row])
+def _diverged(run: Runner) -> SimulationError:
+    model = run.model
+    speed = np.abs(run.x.v)
     speed[~np.isfinite(speed)] = np.inf
     worst = int(np.argmax(speed))
     names = [joint.name for joint in model.joints if joint.idx_v == worst] or [f"v[{worst}]"]
     return SimulationError(
-        f"the simulation left the finite numbers at joint {names[0]}, t = {tape.time[row]:.4g} s ({scheme},"
-        f" {rate:g} Hz): check the effects' parameters and the gains, or raise the physics rate"
+        f"the simulation left the finite numbers at joint {names[0]}, t = {run.tape.time[run.row]:.4g} s"
+        f" ({run.scheme}, {run.rate:g} Hz): check the effects' parameters and the gains, or raise the physics"
+        " rate"
     )
-
-
-# --- what sensors say -----------------------------------------------------------------------------------
-def _column(model: FlexibleJointModel, tape: Trajectory, channel: str, i: int) -> np.ndarray:
-    """(R,) a true position or velocity of the actuated joint i."""
-    joint = model.joints[i]
-    if channel == "q" or (channel == "theta" and joint.rigid):
-        return tape.q[:, joint.idx_q]
-    if channel == "dq" or (channel == "dtheta" and joint.rigid):
-        return tape.v[:, joint.idx_v]
-    return (tape.theta if channel == "theta" else tape.dtheta)[:, model.flexible.index(i)]
-
-
-def _reading(
-    model: FlexibleJointModel, tape: Trajectory, row: int, channel: str, sensing: float, rate: float
-) -> np.ndarray:
-    """(n,) what the controller reads at a row; `sensing` is the robot's sensing delay in rows."""
-    out = np.empty(len(model.joints))
-    for i, flow in enumerate(model.flows):
-        delay = flow.reading_delay(channel) * rate + sensing
-        value = _earlier(_column(model, tape, channel, i), row, delay)
-        out[i] = flow.read(channel, Signals(t=tape.time[row]), value)
-    return out
-
-
-def true_signals(model: FlexibleJointModel, tape: Trajectory) -> dict[tuple[str, str], np.ndarray]:
-    """(R,) q, dq, theta, dtheta and tau_t of every actuated joint, by (channel, joint), past included."""
-    out: dict[tuple[str, str], np.ndarray] = {}
-    for i, joint in enumerate(model.joints):
-        for channel in ("q", "dq", "theta", "dtheta"):
-            out[channel, joint.name] = _column(model, tape, channel, i).copy()
-        if joint.rigid:
-            out["tau_t", joint.name] = tape.tau_rigid[:, model.rigid.index(i)].copy()
-            continue
-        tau_t = np.empty(len(tape.time))
-        for phase, rows in spans(model, tape.time):
-            q, dq, theta, dtheta = (out[c, joint.name][rows] for c in ("q", "dq", "theta", "dtheta"))
-            s = Signals(
-                tape.time[rows], q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, tape.tau_m[rows, i]
-            )
-            tau_t[rows] = phase.flows[i].transmission(s, tape.z[rows].T)
-        out["tau_t", joint.name] = tau_t
-    return out
-
-
-def readings(
-    model: FlexibleJointModel, tape: Trajectory, true: Mapping[tuple[str, str], np.ndarray] | None = None
-) -> dict[tuple[str, str], np.ndarray]:
-    """(R - first,) what the sensors of every actuated joint say from the start on, by (channel, joint);
-    `true` is what `true_signals` gives, if it is at hand."""
-    true = true_signals(model, tape) if true is None else true
-    out: dict[tuple[str, str], np.ndarray] = {}
-    for (channel, name), values in true.items():
-        i = model.robot.joint_names.index(name)
-        seen = values.copy()
-        for phase, rows in spans(model, tape.time):
-            flow = phase.flows[i]
-            if flow.reads_true(channel):
-                continue
-            t = tape.time[rows]
-            x = np.interp(t - flow.reading_delay(channel), tape.time, values)
-            seen[rows] = flow.read(channel, Signals(t=t), x)
-        out[channel, name] = seen[tape.first :]
-    return out
-
-
-def spans(model: FlexibleJointModel, time: np.ndarray) -> list[tuple[FlexibleJointModel, slice]]:
-    """The model that holds over each span of rows."""
-    begins = [int(np.searchsorted(time, t - 1e-9)) for t, _ in model.phases] + [len(time)]
-    return [(phase, slice(begins[k], begins[k + 1])) for k, (_, phase) in enumerate(model.phases)]

@@ -30,6 +30,10 @@ class SimulationError(FlexJointError):
     """A simulation left the finite numbers or cannot be run as asked."""
 
 
+class StabilityWarning(UserWarning):
+    """A scheme's step is too long for a spring; the message names the joint and a rate that would do."""
+
+
 class MissingExtraError(FlexJointError):
     """An optional dependency is absent."""
 

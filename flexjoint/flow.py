@@ -16,6 +16,7 @@ from flexjoint import ops
 from flexjoint.effect import Drive, Effect, Signals, Site
 from flexjoint.ops import Value
 from flexjoint.robot import Joint
+from flexjoint.springs import VariableSpring
 
 STEP = 1e-4  # relative step of the difference quotients below, whose laws are linear or smooth on that scale
 SMALL = 1e-6  # stands for a decay of 0 in (1 - exp(-x)) / x, whose error there is below 1e-6
@@ -38,8 +39,9 @@ class JointFlow:
     error of the gear that takes it up.
     """
 
-    def __init__(self, joint: Joint, parts: Sequence[Part]) -> None:
+    def __init__(self, joint: Joint, parts: Sequence[Part], spring: VariableSpring | None = None) -> None:
         self.joint = joint
+        self.spring = spring  # commanded, in place of the drive's K and D
         ordered = sorted(parts, key=lambda part: part.effect.name)
         self.drive: Drive = joint.drive
         for part in ordered:
@@ -55,7 +57,7 @@ class JointFlow:
         self._sensors = [x for x in ordered if x.effect.site is Site.SENSOR]
         self._late = [x for x in ordered if _does(x, Site.COMMAND, "delay")]
         self.stateful = [x for x in ordered if x.slot >= 0]
-        self.nonlinear_spring = bool(self._deflection or self._spring)
+        self.nonlinear_spring = bool(self._deflection or self._spring or spring)
         self.motor_rubs = bool(self._rubbing)
         self.link_rubs = bool(self._link_rubbing)
         acting = self._command or self._motor or self._link or self.stateful or self.nonlinear_spring
@@ -77,6 +79,13 @@ class JointFlow:
         return sum(part.effect.max_delay for part in self._late)
 
     # --- transmission ----------------------------------------------------------------------------
+    def spring_at(self, t: Value) -> tuple[Value, Value]:
+        """K and D of the transmission at a time."""
+        if self.spring is None:
+            return self.drive.K, self.drive.D
+        damping = self.drive.D if self.spring.damping is None else self.spring.damping(t)
+        return self.spring.stiffness(t), damping
+
     def _deflect(self, s: Signals) -> Value:
         """Leave in s.phi and s.dphi what the deflection effects pass on; d phi' / d phi."""
         slope: Value = 1.0
@@ -91,7 +100,8 @@ class JointFlow:
         internal states as they will be `ahead` seconds on."""
         phi, dphi = s.phi, s.dphi
         self._deflect(s)
-        tau = self.drive.K * s.phi + self.drive.D * s.dphi
+        stiffness, damping = self.spring_at(s.t)
+        tau = stiffness * s.phi + damping * s.dphi
         for part in self._spring:
             tau = tau + part.effect.torque(s, part.p, _state(part, s, z, ahead))
         s.phi, s.dphi = phi, dphi
@@ -101,7 +111,7 @@ class JointFlow:
         """`transmission` with its derivatives by phi and dphi: what the linearly implicit scheme needs."""
         phi, dphi = s.phi, s.dphi
         slope = self._deflect(s)
-        stiffness, damping = self.drive.K, self.drive.D
+        stiffness, damping = self.spring_at(s.t)
         tau = stiffness * s.phi + damping * s.dphi
         for part in self._spring:
             stiffness = stiffness + part.effect.slope(s, part.p)

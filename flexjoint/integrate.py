@@ -1,21 +1,27 @@
 """Integration schemes: one function each, behind one interface, for numbers and CasADi alike.
 
 A scheme takes (model, h, width) and gives a step function (state, tau_m) -> state, h seconds later, under
-motor torques tau_m (n,) [N m] held over the step, delays aside. Only the default treats dry friction as a
-set, so that it sticks; the others smooth it as level tanh(velocity / width) and need the width [rad/s].
+motor torques tau_m (n,) [N m] held over the step, delays aside. The default and semi_implicit_euler treat
+dry friction as a set, so that it sticks; the others smooth it as level tanh(velocity / width) and need the
+width [rad/s] where there is any. docs/simulation.md compares them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
+from typing import Literal
 
-import numpy as np
-
+from flexjoint import ops
 from flexjoint.errors import SimulationError, unknown
+from flexjoint.friction import SWEEPS, directed, settle
+from flexjoint.implicit import implicit_midpoint
 from flexjoint.midpoint import Midpoint
 from flexjoint.model import FlexibleJointModel, Rates, State
 from flexjoint.ops import Value
+from flexjoint.reference import reference
+from flexjoint.stability import check_stability  # noqa: F401  belongs to this interface
 
 Step = Callable[[State, Value], State]
 Scheme = Callable[[FlexibleJointModel, float, float | None], Step]
@@ -39,37 +45,48 @@ def explicit_euler(model: FlexibleJointModel, h: float, width: float | None = No
 
 
 def semi_implicit_euler(model: FlexibleJointModel, h: float, width: float | None = None) -> Step:
-    """Velocities first, then positions from the new velocities; order 1."""
+    """Velocities first, then positions from the new velocities; order 1. Dry friction is implicit: a set, so
+    that it sticks; `width` is not used."""
+    rub = _Rubbing(model, h)
 
     def step(x: State, tau_m: Value) -> State:
-        r = model.rates(x, tau_m, width)
-        new = Rates(x.v + h * r.acc, r.acc, x.dtheta + h * r.ddtheta, r.ddtheta, r.dz, r.tau_t)
-        return _moved(model, x, new, h)
+        r = rub(x, tau_m, model.rates(x, tau_m, None))
+        v, dtheta = x.v + h * r.acc, x.dtheta + h * r.ddtheta
+        return _moved(model, x, Rates(v, r.acc, dtheta, r.ddtheta, r.dz, r.tau_t), h)
 
     return step
 
 
-def kashiri2017(model: FlexibleJointModel, h: float, width: float | None = None) -> Step:
-    """Kashiri et al. 2017, equations 5 and 6: the motor by explicit Euler from the old velocity, the link
-    by the semi-implicit Euler of the physics engine. With the new motor velocity it is
-    `semi_implicit_euler`: the paper leaves that open."""
+def kashiri2017(
+    model: FlexibleJointModel,
+    h: float,
+    width: float | None = None,
+    motor_position: Literal["old", "new"] = "old",
+) -> Step:
+    """Kashiri et al. 2017, equations 5 and 6: the motor by explicit Euler, the link by the semi-implicit
+    Euler of the physics engine; order 1.
+
+    Whether the motor's position moves by its old or its new velocity the paper leaves open; the scheme
+    named kashiri2017 takes the old one, kashiri2017_new the new one.
+    """
 
     def step(x: State, tau_m: Value) -> State:
         r = model.rates(x, tau_m, width)
-        new = Rates(x.v + h * r.acc, r.acc, x.dtheta, r.ddtheta, r.dz, r.tau_t)
-        return _moved(model, x, new, h)
+        dtheta = x.dtheta if motor_position == "old" else x.dtheta + h * r.ddtheta
+        return _moved(model, x, Rates(x.v + h * r.acc, r.acc, dtheta, r.ddtheta, r.dz, r.tau_t), h)
 
     return step
 
 
 def rk4(model: FlexibleJointModel, h: float, width: float | None = None) -> Step:
-    """Classical Runge-Kutta, four ABA calls; order 4 where every joint has one axis."""
+    """Classical Runge-Kutta, four ABA calls; order 4, on a floating base in its exponential coordinates
+    (Munthe-Kaas 1998)."""
 
     def step(x: State, tau_m: Value) -> State:
         r1 = model.rates(x, tau_m, width)
-        r2 = model.rates(_moved(model, x, r1, 0.5 * h), tau_m, width)
-        r3 = model.rates(_moved(model, x, r2, 0.5 * h), tau_m, width)
-        r4 = model.rates(_moved(model, x, r3, h), tau_m, width)
+        r2 = _onward(model, x, r1, 0.5 * h, tau_m, width)
+        r3 = _onward(model, x, r2, 0.5 * h, tau_m, width)
+        r4 = _onward(model, x, r3, h, tau_m, width)
         mean = Rates(
             *(
                 (getattr(r1, n) + 2.0 * (getattr(r2, n) + getattr(r3, n)) + getattr(r4, n)) / 6.0
@@ -79,6 +96,31 @@ def rk4(model: FlexibleJointModel, h: float, width: float | None = None) -> Step
         return _moved(model, x, mean, h)
 
     return step
+
+
+def _onward(
+    model: FlexibleJointModel, x: State, r: Rates, h: float, tau_m: Value, width: float | None
+) -> Rates:
+    """Rates h seconds after x at constant rates r; the base's velocity as that of its exponential
+    coordinates xi = h v about x: xi' = v + [xi, v]/2 + [xi, [xi, v]]/12 to the order that counts."""
+    then = model.rates(_moved(model, x, r, h), tau_m, width)
+    if not model.robot.floating:
+        return then
+    xi, v = h * r.v[:6], then.v[:6]
+    once = _bracket(model, xi, v)
+    rate = ops.copy(then.v)
+    rate[:6] = v + once / 2.0 + _bracket(model, xi, once) / 12.0
+    return Rates(rate, then.acc, then.dtheta, then.ddtheta, then.dz, then.tau_t)
+
+
+def _bracket(model: FlexibleJointModel, xi: Value, v: Value) -> Value:
+    """Lie bracket of two twists (6,), linear part first."""
+
+    def cross(a: Value, b: Value) -> list[Value]:
+        return [a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3] for k in range(3)]
+
+    linear = [p + q for p, q in zip(cross(xi[3:6], v[:3]), cross(xi[:3], v[3:6]), strict=True)]
+    return model.vector([*linear, *cross(xi[3:6], v[3:6])])
 
 
 def _moved(model: FlexibleJointModel, x: State, r: Rates, h: float) -> State:
@@ -92,8 +134,73 @@ def _moved(model: FlexibleJointModel, x: State, r: Rates, h: float) -> State:
         x.z + h * r.dz,
         r.acc,
         r.ddtheta,
-        x.tau_rigid,
+        r.tau_t[list(model.rigid)] if model.rigid else x.tau_rigid,
     )
+
+
+class _Rubbing:
+    """Dry friction at the end of a semi-implicit Euler step: what stops a velocity in it, up to the level."""
+
+    def __init__(self, model: FlexibleJointModel, h: float) -> None:
+        self.model, self.h = model, h
+        self.motors = [(k, i) for k, i in enumerate(model.flexible) if model.flows[i].motor_rubs]
+        self.links = [
+            i
+            for i, flow in enumerate(model.flows)
+            if flow.link_rubs or (flow.joint.rigid and flow.motor_rubs)
+        ]
+        self.armature = model.zeros(model.nv)
+        for i in model.rigid:
+            self.armature[model.joints[i].idx_v] = model.flows[i].drive.B
+
+    def __call__(self, x: State, tau_m: Value, r: Rates) -> Rates:
+        """The rates r of a step without dry friction, with it."""
+        if not self.motors and not self.links:
+            return r
+        return Rates(r.v, self._links(x, tau_m, r), r.dtheta, self._motors(x, tau_m, r), r.dz, r.tau_t)
+
+    def _motors(self, x: State, tau_m: Value, r: Rates) -> Value:
+        model, h = self.model, self.h
+        ddtheta = r.ddtheta
+        for k, i in self.motors:
+            free = x.dtheta[k] + h * ddtheta[k]
+            s, drive = model.signals(x, i, tau_m[i]), model.flows[i].drive
+            s.dtheta = directed(s.dtheta, free)
+            stopped = h * model.flows[i].motor_level(s) / drive.B
+            ddtheta[k] = (free - ops.clip(free, -stopped, stopped) - x.dtheta[k]) / h
+        return ddtheta
+
+    def _links(self, x: State, tau_m: Value, r: Rates) -> Value:
+        model, h, acc = self.model, self.h, r.acc
+        if not self.links:
+            return acc
+        places = [model.joints[i].idx_v for i in self.links]
+        rest = model.zeros(model.nv)
+        still = model.body.aba(x.q, rest, rest, self.armature)
+        columns, free, levels = [], [], []
+        for i, place in zip(self.links, places, strict=True):
+            unit = model.zeros(model.nv)
+            unit[place] = 1.0
+            columns.append(model.body.aba(x.q, rest, unit, self.armature) - still)
+            free.append(x.v[place] + h * acc[place])
+            levels.append(self._level(x, tau_m, r, i, free[-1]))
+        coupling = [[h * column[place] for column in columns] for place in places]
+        sweeps = 1 if len(places) == 1 else SWEEPS
+        for column, force in zip(
+            columns, settle(free, levels, coupling, sweeps, model.symbolic), strict=True
+        ):
+            acc = acc - column * force
+        return acc
+
+    def _level(self, x: State, tau_m: Value, r: Rates, i: int, velocity: Value) -> Value:
+        """Bound of the dry friction on a link; a rigid joint's motor rubs there too."""
+        flow, s = self.model.flows[i], self.model.signals(x, i, tau_m[i])
+        s.dq = directed(s.dq, velocity)
+        level = flow.link_level(s)
+        if flow.joint.rigid:
+            s.dtheta, s.tau_t = s.dq, r.tau_t[i]
+            level = level + flow.motor_level(s)
+        return level
 
 
 SCHEMES: Mapping[str, Scheme] = MappingProxyType(
@@ -102,9 +209,16 @@ SCHEMES: Mapping[str, Scheme] = MappingProxyType(
         "semi_implicit_euler": semi_implicit_euler,
         "explicit_euler": explicit_euler,
         "kashiri2017": kashiri2017,
+        "kashiri2017_new": partial(kashiri2017, motor_position="new"),
         "rk4": rk4,
+        "implicit_midpoint": implicit_midpoint,
+        "reference": reference,
     }
 )
+
+
+STICKING = frozenset({DEFAULT, "semi_implicit_euler"})  # dry friction as a set, no width
+NUMBERS_ONLY = frozenset({"implicit_midpoint", "reference"})  # they iterate, which expressions cannot
 
 
 def make_step(model: FlexibleJointModel, h: float, scheme: str = DEFAULT, width: float | None = None) -> Step:
@@ -115,77 +229,9 @@ def make_step(model: FlexibleJointModel, h: float, scheme: str = DEFAULT, width:
     if scheme not in SCHEMES:
         raise unknown("scheme", scheme, SCHEMES)
     rubs = any(flow.motor_rubs or flow.link_rubs for flow in model.flows)
-    if scheme != DEFAULT:
-        if rubs and not (width is not None and width > 0.0):
-            raise SimulationError(
-                f"{scheme} smooths dry friction as level tanh(velocity / width): give a width > 0 [rad/s], or"
-                f" use {DEFAULT}, where it sticks (got width={width})"
-            )
-        width = 1.0 if width is None else width
-    return SCHEMES[scheme](model, h, width)
-
-
-def check_stability(model: FlexibleJointModel, x: State, h: float, scheme: str) -> None:
-    """Refuse an explicit scheme whose step is too long for the springs of the model at a state.
-
-    The step is linearised about the state without gravity, velocity terms, effects and kinks (springs,
-    dampers, masses). Raises SimulationError with the longest stable step.
-    """
-    if scheme == DEFAULT:
-        return
-    if _growth(model, x, h, scheme) <= 1.0:
-        return
-    shorter = h
-    while _growth(model, x, shorter, scheme) > 1.0 and shorter > 1e-7:
-        shorter *= 0.8
-    advice = f"a physics rate of {1.0 / shorter:.3g} Hz or more, or " if shorter > 1e-7 else ""
-    raise SimulationError(
-        f"{scheme} diverges on this robot at a physics rate of {1.0 / h:g} Hz; use {advice}{DEFAULT}, which"
-        " is stable for any stiffness"
-    )
-
-
-def _growth(model: FlexibleJointModel, x: State, h: float, scheme: str) -> float:
-    """Largest factor by which a step of the scheme lets a mode grow (1 or less: none grows)."""
-    A = _linear(model, x)
-    n = model.nv + model.nf
-    eye = np.eye(n)
-    position, velocity = A[n:, :n], A[n:, n:]
-    if scheme == "rk4":
-        hA = h * A
-        step = np.eye(2 * n) + hA @ (
-            np.eye(2 * n) + hA / 2 @ (np.eye(2 * n) + hA / 3 @ (np.eye(2 * n) + hA / 4))
+    if rubs and scheme not in STICKING and not (width is not None and width > 0.0):
+        raise SimulationError(
+            f"{scheme} smooths dry friction as level tanh(velocity / width): give a width > 0 [rad/s], or"
+            f" use {DEFAULT}, where it sticks (got width={width})"
         )
-    else:
-        lower = np.hstack([h * position, eye + h * velocity])
-        new = np.zeros(n) if scheme == "explicit_euler" else np.ones(n)
-        if scheme == "kashiri2017":
-            new[model.nv :] = 0.0
-        old = np.hstack([eye, h * np.diag(1.0 - new)])
-        step = np.vstack([old + h * np.diag(new) @ lower, lower])
-    # a free drift is a double eigenvalue of 1: rounding moves it by about the root of the precision
-    return float(np.max(np.abs(np.linalg.eigvals(step)))) - 1e-6
-
-
-def _linear(model: FlexibleJointModel, x: State) -> np.ndarray:
-    """d(v, dtheta, acc, ddtheta)/d(q, theta, v, dtheta) of masses, springs and dampers."""
-    nv, nf = model.nv, model.nf
-    mass, stiffness, damping = (np.zeros((nv + nf, nv + nf)) for _ in range(3))
-    mass[:nv, :nv] = model.body.mass_matrix(x.q)
-    for i, flow in enumerate(model.flows):
-        place, drive = flow.joint.idx_v, flow.drive
-        if flow.joint.rigid:
-            mass[place, place] += drive.B
-            damping[place, place] += drive.D_m
-            continue
-        k = nv + model.flexible.index(i)
-        mass[k, k] = drive.B
-        damping[k, k] += drive.D_m
-        for matrix, number in ((stiffness, drive.K), (damping, drive.D)):
-            matrix[np.ix_([place, k], [place, k])] += number * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    return np.block(
-        [
-            [np.zeros((nv + nf, nv + nf)), np.eye(nv + nf)],
-            [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)],
-        ]
-    )
+    return SCHEMES[scheme](model, h, width)

@@ -16,16 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from flexjoint import ops
 from flexjoint.effect import Signals
 from flexjoint.flow import JointFlow
+from flexjoint.friction import SWEEPS, TINY, directed, settle
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.ops import Value
-
-SWEEPS = 50  # of Gauss-Seidel over link frictions; each shrinks the error by the coupling through M^-1
-TINY = 1e-12  # [rad/s] carries the direction of a velocity of 0
 
 
 class Midpoint:
@@ -72,7 +68,7 @@ class Midpoint:
         tau[self.of_v] = spring + self.kd * c0 - self.kap * x.v[self.of_v]
         lines: dict[int, Line] = {}
         if self.special:
-            c1, armature = _copy(c1), _copy(armature)
+            c1, armature = ops.copy(c1), ops.copy(armature)
             at = _Midway(model, x, q_mid, v_mid, tau_m)
             for i, k, flow in self.special:
                 line = _rigid(flow, at, i, a) if k < 0 else _flexible(flow, at, i, k, a)
@@ -95,8 +91,8 @@ class Midpoint:
         acc: Value,
         lines: dict[int, Line],
     ) -> Value:
-        """The acceleration under the links' dry friction f: |f_j| <= level_j, and f_j = level_j sgn v_j
-        where the midpoint velocity v + a (acc - M^-1 f) is not 0; projected Gauss-Seidel.
+        """The acceleration under the links' dry friction f, which stops what it can of the midpoint velocity
+        v + a (acc - M^-1 f).
 
         The columns M^-1 e_j come from the same ABA, which is affine in tau.
         """
@@ -104,22 +100,14 @@ class Midpoint:
         places = [model.joints[i].idx_v for i in self.rubbing]
         columns, free, levels = [], [], []
         for i, place in zip(self.rubbing, places, strict=True):
-            unit = _copy(tau)
+            unit = ops.copy(tau)
             unit[place] = unit[place] + 1.0
             columns.append(model.body.aba(q_mid, v_mid, unit, armature) - acc)
             free.append(x.v[place] + a * acc[place])
             levels.append(lines[i].link_level(model.flows[i], free[-1]))
+        coupling = [[a * column[place] for column in columns] for place in places]
+        force = settle(free, levels, coupling, self.sweeps, model.symbolic)
         count = range(len(places))
-        force: list[Value] = [0.0 for _ in count]
-        for _ in range(self.sweeps):
-            moved = 0.0
-            for j in count:
-                left = free[j] - a * sum(columns[k][places[j]] * force[k] for k in count)
-                before = force[j]
-                force[j] = ops.clip(before + left / (a * columns[j][places[j]]), -levels[j], levels[j])
-                moved = moved if model.symbolic else max(moved, abs(force[j] - before) / (levels[j] + TINY))
-            if not model.symbolic and moved < TINY:
-                break
         for j in count:
             acc = acc - columns[j] * force[j]
         for j in count:
@@ -134,7 +122,7 @@ class Midpoint:
         v = v_mid + a * acc
         carried = acc
         if self.rubbing:
-            acc = _copy(acc)
+            acc = ops.copy(acc)
         for i in self.rubbing:
             place, line = model.joints[i].idx_v, lines[i]
             v_mid[place] = ops.where(line.link_sticks, 0.0, v_mid[place])
@@ -142,7 +130,7 @@ class Midpoint:
         w_mid = c0 + c1 * v_mid[self.of_v]
         w = 2.0 * w_mid - x.dtheta
         ddtheta = (w_mid - x.dtheta) / a
-        tau_rigid = _copy(x.tau_rigid)
+        tau_rigid = ops.copy(x.tau_rigid)
         for i, k, flow in self.special:
             if k < 0:
                 tau_rigid[model.rigid.index(i)] = lines[i].carried(carried[flow.joint.idx_v])
@@ -156,7 +144,7 @@ class Midpoint:
     def _advance(self, x: State, v_mid: Value, w_mid: Value) -> Value:
         """Internal states a step later, driven by the midpoint's velocities."""
         model = self.model
-        z = _copy(x.z)
+        z = ops.copy(x.z)
         q_mid = model.body.integrate(x.q, self.a * v_mid)
         at = _Midway(model, x, q_mid, v_mid, model.zeros(len(model.joints)))
         speeds = model.items(w_mid)
@@ -195,7 +183,7 @@ class Line:
     def link_level(self, flow: JointFlow, velocity: Value) -> Value:
         """Bound of the dry friction on the link; a rigid joint's motor rubs there too."""
         s = self.signals
-        s.dq = _directed(s.dq, velocity)
+        s.dq = directed(s.dq, velocity)
         self.level = flow.link_level(s)
         if flow.joint.rigid:
             s.dtheta = s.dq
@@ -225,7 +213,7 @@ def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
     if flow.motor_rubs:
         wanted = push + a * kd * s.dq  # den times the midpoint velocity that dry friction has to stop
         velocity = s.dtheta
-        s.dtheta = _directed(velocity, wanted)
+        s.dtheta = directed(velocity, wanted)
         level = a * flow.motor_level(s)
         s.dtheta = velocity
         sticks = ops.absolute(wanted) <= level
@@ -272,12 +260,6 @@ class _Midway:
         return Signals(t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, self.tau_m[i])
 
 
-def _directed(size: Value, direction: Value) -> Value:
-    """|size|, at least TINY, with the sign of direction: dry friction resists the motion to come."""
-    size = ops.maximum(ops.absolute(size), TINY)
-    return ops.where(direction < 0.0, -size, size)
-
-
 def _rubbed(start: Value, midpoint: Value, free: Value, shed: Value, h: float) -> tuple[Value, Value]:
     """Velocity and acceleration at the end of a step with dry friction, from the velocities at its start
     and midpoint and the accelerations without friction and by its level alone.
@@ -300,7 +282,3 @@ def _places(indices: list[int]) -> Any:
     if indices == list(range(len(indices))):
         return slice(0, len(indices))
     return indices
-
-
-def _copy(vector: Value) -> Value:
-    return vector.copy() if isinstance(vector, np.ndarray) else type(vector)(vector)

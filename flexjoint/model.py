@@ -11,7 +11,7 @@ numbers and CasADi alike: the body it is given decides (`PinBody` or `SymbolicBo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,7 @@ from flexjoint.errors import ModelError, unknown
 from flexjoint.flow import JointFlow, Part
 from flexjoint.ops import Value
 from flexjoint.robot import Robot
+from flexjoint.springs import VariableSpring
 
 MAX_STATES = 1  # internal states of one effect: its laws take a scalar z
 
@@ -53,7 +54,7 @@ class State:
 @dataclass(frozen=True)
 class Rates:
     """Time derivative of a state: v (nv,), acc (nv,), dtheta, ddtheta (nf,), dz (nz,); and the
-    transmission torques tau_t (n,) of all actuated joints, 0 for rigid ones."""
+    transmission torques tau_t (n,) of all actuated joints, for a rigid one what its link takes."""
 
     v: Value
     acc: Value
@@ -71,10 +72,11 @@ class FlexibleJointModel:
         effects: the effects at work; default those that the robot lists.
         body: PinBody for numbers, SymbolicBody for CasADi expressions (effects may then hold symbols).
         at: effects whose `since` [s] is later than this are asleep (default: none is).
+        springs: commanded stiffness and damping by joint, in place of the joints' own.
 
     Raises:
-        ModelError: the same effect twice on a joint, a spring effect on a rigid joint.
-        UnknownNameError: an effect on a joint that the robot does not actuate.
+        ModelError: the same effect twice on a joint, a spring effect or command on a rigid joint.
+        UnknownNameError: an effect or spring on a joint that the robot does not actuate.
     """
 
     def __init__(
@@ -83,16 +85,22 @@ class FlexibleJointModel:
         effects: Iterable[Planned] | None = None,
         body: Callable[..., Any] = PinBody,
         at: float = math.inf,
+        springs: Mapping[str, VariableSpring] | None = None,
     ) -> None:
         self.robot = robot
         self.joints = robot.joints
         self.effects: tuple[Planned, ...] = tuple(robot.effects if effects is None else effects)
+        self.springs: dict[str, VariableSpring] = dict(springs or {})
         self._body_kind = body
         self._check()
         awake = [planned for planned in self.effects if planned.since is None or planned.since <= at]
         self._slots = {planned.key: k for k, planned in enumerate(x for x in self.effects if x.effect.states)}
         self.flows = tuple(
-            JointFlow(joint, [self._part(planned) for planned in awake if planned.joint == joint.name])
+            JointFlow(
+                joint,
+                [self._part(planned) for planned in awake if planned.joint == joint.name],
+                self.springs.get(joint.name),
+            )
             for joint in self.joints
         )
         self.body = self._edited_body(awake)
@@ -114,6 +122,9 @@ class FlexibleJointModel:
                 raise ModelError(f"{planned.effect.name} has {len(planned.effect.states)} states; 1 at most")
             if planned.effect.needs_spring and planned.joint and self.robot.joint(planned.joint).rigid:
                 raise ModelError(f"{planned}: the joint is rigid; give it a finite stiffness first")
+        for name in self.springs:
+            if self.robot.joint(name).rigid:
+                raise ModelError(f"springs: joint {name} is rigid; give it a finite stiffness first")
 
     def _part(self, planned: Planned) -> Part:
         return Part(planned.effect, planned.p, self._slots.get(planned.key, -1))
@@ -151,7 +162,8 @@ class FlexibleJointModel:
         if not self.onsets:
             return ((-math.inf, self),)
         times = (-math.inf, *self.onsets)
-        return tuple((t, FlexibleJointModel(self.robot, self.effects, self._body_kind, at=t)) for t in times)
+        kind, springs = self._body_kind, self.springs
+        return tuple((t, FlexibleJointModel(self.robot, self.effects, kind, t, springs)) for t in times)
 
     # --- numbers or expressions ------------------------------------------------------------------
     @property
@@ -235,11 +247,11 @@ class FlexibleJointModel:
             s.tau_t = self.flows[i].transmission(s, state.z)
         return s
 
-    def rates(self, state: State, tau_m: Value, width: Value) -> Rates:
+    def rates(self, state: State, tau_m: Value, width: Value | None) -> Rates:
         """Time derivative of a state under the motor torques tau_m (n,) [N m], delays aside.
 
         Dry friction is smoothed: level tanh(velocity / width), width [rad/s]. It creeps instead of
-        sticking; the default scheme of `integrate` does not smooth.
+        sticking; the default scheme of `integrate` does not smooth. With a width of None there is none.
         """
         tau, armature = self.zeros(self.nv), self.zeros(self.nv)
         ddtheta, dz, tau_t = self.zeros(self.nf), self.zeros(self.nz), self.zeros(len(self.joints))
@@ -247,12 +259,15 @@ class FlexibleJointModel:
             s = self.signals(state, i, tau_m[i])
             drive, joint = flow.drive, flow.joint
             on_motor, on_link = flow.torques(s, state.z)
-            rub = flow.motor_level(s) * ops.tanh(s.dtheta / width)
-            motor = flow.command(s, tau_m[i]) + on_motor - rub - drive.D_m * s.dtheta
-            link = on_link - flow.link_level(s) * ops.tanh(s.dq / width)
+            motor = flow.command(s, tau_m[i]) + on_motor - drive.D_m * s.dtheta
+            link = on_link
+            if width is not None:
+                motor = motor - flow.motor_level(s) * ops.tanh(s.dtheta / width)
+                link = link - flow.link_level(s) * ops.tanh(s.dq / width)
             if joint.rigid:
                 tau[joint.idx_v] = motor + link
                 armature[joint.idx_v] = drive.B
+                tau_t[i] = motor
             else:
                 tau[joint.idx_v] = s.tau_t + link
                 ddtheta[self.flexible.index(i)] = (motor - s.tau_t) / drive.B
@@ -260,6 +275,8 @@ class FlexibleJointModel:
             for slot, rate in flow.rates(s, state.z):
                 dz[slot] = rate
         acc = self.body.aba(state.q, state.v, tau, armature)
+        for i in self.rigid:
+            tau_t[i] = tau_t[i] - self.flows[i].drive.B * acc[self.joints[i].idx_v]
         return Rates(state.v, acc, state.dtheta, ddtheta, dz, tau_t)
 
     def rhs(self, x: Value, tau_m: Value, width: Value, t: Value = 0.0) -> Value:

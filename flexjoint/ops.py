@@ -8,6 +8,7 @@ uses these instead.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -92,3 +93,13 @@ def exp(x: Value) -> Value:
     if isinstance(x, float):
         return math.exp(max(x, -300.0))
     return ca.exp(ca.fmax(x, -300.0)) if is_symbolic(x) else np.exp(np.maximum(x, -300.0))
+
+
+def stack(entries: Sequence[Value]) -> Value:
+    """Scalars, or rows of equal shape, as one vector or array."""
+    return ca.vertcat(*entries) if is_symbolic(*entries) else np.array(entries)
+
+
+def copy(vector: Value) -> Value:
+    """A vector that may be written on."""
+    return vector.copy() if isinstance(vector, np.ndarray) else type(vector)(vector)

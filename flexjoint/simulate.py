@@ -15,6 +15,7 @@ from flexjoint.errors import RecordingError, SimulationError
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.recording import Recording, make
+from flexjoint.start import at_rest, initial_positions
 
 REFERENCES = ("q_ref", "theta_ref", "dtheta_ref", "tau_ff")
 TORQUES = ("tau_m", "tau_motor")
@@ -178,18 +179,13 @@ def _ticks(reference: Recording, control_rate: float) -> np.ndarray:
 
 def _rest(model: FlexibleJointModel, reference: Recording, controller: bool) -> State:
     """At rest where the reference begins."""
-    q = model.body.neutral.copy()
-    for name, value in model.robot.file.initial.items():
-        if model.robot.model.existJointName(name):
-            q[model.robot.model.joints[model.robot.model.getJointId(name)].idx_q] = value
+    q = initial_positions(model)
     for joint in model.joints:
         for channel in ("q_ref", "q") if controller else ("q", "q_ref"):
             if reference.has(channel, joint.name):
                 q[joint.idx_q] = _sampled(reference, channel, joint.name, reference.time[:1])[0]
                 break
-    state = model.rest(q)
-    state.theta = equilibrium(model, q).theta[0, list(model.flexible)]
-    return state
+    return at_rest(model, q)
 
 
 # --- the result -------------------------------------------------------------------------------------------

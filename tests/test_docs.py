@@ -15,8 +15,10 @@ import flexjoint.diagnose
 import flexjoint.effects
 from flexjoint import robot, robot_schema
 from flexjoint.cli_effects import markdown
+from flexjoint.control import LAWS
 from flexjoint.diagnosis import Diagnosis, Finding
 from flexjoint.effect import catalogue, plan
+from flexjoint.integrate import SCHEMES
 from flexjoint.recording import UNITS, Recording
 from flexjoint.robot import Robot
 
@@ -146,3 +148,14 @@ def test_the_readme_commands_exist() -> None:
     targets = set(re.findall(r"^make (\w+)", text, re.MULTILINE))
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert targets and all(f"\n{target}:" in makefile for target in targets)
+
+
+# --- simulation.md ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("example", blocks(DOCS / "simulation.md", "python"))
+def test_the_examples_of_the_simulation_page_run(example: str) -> None:
+    exec(example, {})
+
+
+def test_the_simulation_page_names_every_scheme_and_law() -> None:
+    text = (DOCS / "simulation.md").read_text(encoding="utf-8")
+    assert [name for name in (*SCHEMES, *LAWS) if f"`{name}`" not in text] == []

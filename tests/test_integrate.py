@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from flexjoint.clockwork import Trajectory, rollout
 from flexjoint.effect import Planned, plan
 from flexjoint.errors import SimulationError, UnknownNameError
-from flexjoint.integrate import DEFAULT, SCHEMES, make_step
+from flexjoint.integrate import DEFAULT, make_step
 from flexjoint.model import FlexibleJointModel
 from flexjoint.robot import Robot
 
@@ -63,20 +63,6 @@ def test_the_default_scheme_is_of_order_2_with_smooth_effects(name: str) -> None
     assert fine < 2e-5  # the payload swings 3 rad in the meantime
 
 
-@pytest.mark.parametrize(
-    ("scheme", "order"), [("explicit_euler", 1), ("semi_implicit_euler", 1), ("kashiri2017", 1), ("rk4", 4)]
-)
-def test_the_other_schemes_have_their_order(scheme: str, order: int) -> None:
-    model = FlexibleJointModel(make(PLANAR), [])
-    x0 = moving(model)
-    exact = reference(model, x0, 0.2)
-    coarse, fine = (
-        np.max(np.abs(final(model, x0, h, scheme, 0.2) - exact))
-        for h in ((2e-3, 1e-3) if order == 4 else (2e-4, 1e-4))
-    )
-    assert abs(np.log2(coarse / fine) - order) < 0.15 * order  # the next term of the error at these steps
-
-
 def test_order_2_holds_on_one_link_and_for_a_rigid_joint() -> None:
     for changes in ({}, {"joint": {"stiffness": float("inf")}}):
         model = FlexibleJointModel(make(PENDULUM, changes), [])
@@ -108,17 +94,6 @@ def test_the_default_scheme_is_stable_for_any_stiffness(stiffness: float) -> Non
     )
     assert np.max(np.abs(tape.v)) < 20.0  # torques of 6 N m: an arm of this size stays far below
     assert np.max(np.abs(tape.theta - tape.q)) < 20.0 / stiffness + 1e-4
-
-
-def test_explicit_schemes_refuse_a_step_that_is_too_long_and_name_one_that_is_not() -> None:
-    robot = make(PENDULUM, {"joint": {"stiffness": 8e5}})
-    model = FlexibleJointModel(robot, [])
-    for scheme in ("explicit_euler", "semi_implicit_euler", "kashiri2017", "rk4"):
-        with pytest.raises(SimulationError, match=f"{scheme} diverges .* use .* or {DEFAULT}"):
-            rollout(model, model.rest(), np.zeros((10, 1)), 500.0, scheme=scheme)
-    soft = FlexibleJointModel(make(PENDULUM), [])
-    for scheme in SCHEMES:
-        assert np.all(np.isfinite(rollout(soft, soft.rest(), np.ones((10, 1)), 1000.0, scheme=scheme).q))
 
 
 def test_a_stiff_joint_tends_to_the_rigid_one_as_1_over_K() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import nbformat
@@ -15,7 +16,7 @@ every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: pat
 
 
 def test_there_are_notebooks() -> None:
-    told = {"gain_design", "theta_d_offline", "what_does_my_simulation_get_wrong"}
+    told = {"effect_of_stiffness", "gain_design", "theta_d_offline", "what_does_my_simulation_get_wrong"}
     assert {path.stem for path in NOTEBOOKS} == told
 
 
@@ -27,6 +28,13 @@ def test_a_notebook_is_stored_clean(path: Path) -> None:
         if cell.cell_type == "code":
             assert cell.outputs == [] and cell.execution_count is None
     assert path.stat().st_size < 1e6
+
+
+@every_notebook
+def test_pictures_and_links_of_a_notebook_lead_somewhere(path: Path) -> None:
+    words = [cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "markdown"]
+    for target in re.findall(r"\]\(([^)]+)\)", "\n".join(words)):
+        assert target.startswith("http") or (path.parent / target).exists(), target
 
 
 @every_notebook

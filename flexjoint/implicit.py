@@ -1,0 +1,141 @@
+"""Implicit midpoint, solved by Newton's method to convergence.
+
+    u = u0 + h/2 f(midpoint of u),  u = (v, dtheta, z) at the midpoint
+
+Order 2, A-stable, symmetric; it keeps quadratic invariants, so the energy of a lossless robot does not
+drift (Hairer, Lubich and Wanner 2006, sections II.1.3 and IV.2). The Jacobian is of difference quotients,
+taken at the predicted midpoint and again where it serves badly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from flexjoint.errors import ModelError, SimulationError
+from flexjoint.model import FlexibleJointModel, State
+from flexjoint.ops import Value
+
+ITERATIONS = 60
+CONVERGED = 1e-12  # relative size of the last correction
+STALLED = 1e-8  # a correction this small that no longer shrinks is rounding
+SLOW = 0.1  # contraction above which the Jacobian is renewed
+HALVINGS = 12
+NUDGE = 1e-7  # relative step of the difference quotients
+
+
+def implicit_midpoint(
+    model: FlexibleJointModel, h: float, width: float | None = None
+) -> Callable[[State, Value], State]:
+    """Implicit midpoint by Newton's method; many evaluations a step; numbers only.
+
+    Dry friction is smoothed over `width` [rad/s], which may be as narrow as wanted. A step that does not
+    converge raises SimulationError with its time and the joint that is worst off.
+    """
+    if model.symbolic:
+        raise ModelError(
+            "implicit_midpoint iterates until it has converged, which expressions cannot; use "
+            "linearly_implicit_midpoint"
+        )
+    a = 0.5 * h
+
+    def step(x: State, tau_m: Value) -> State:
+        nv, nf = model.nv, model.nf
+
+        def middle(u: np.ndarray) -> State:
+            v, w, z = u[:nv], u[nv : nv + nf], u[nv + nf :]
+            q = model.body.integrate(x.q, a * v)
+            return replace(x, t=x.t + a, q=q, v=v, theta=x.theta + a * w, dtheta=w, z=z)
+
+        def missing(u: np.ndarray) -> np.ndarray:
+            r = model.rates(middle(u), tau_m, width)
+            return u - u0 - a * np.concatenate([r.acc, r.ddtheta, r.dz])
+
+        u0 = np.concatenate([x.v, x.dtheta, x.z])
+        guess = u0 + a * np.concatenate([x.acc, x.ddtheta, np.zeros(model.nz)])
+        u = _newton(missing, guess, lambda k: _failed(model, x, h, k))
+        mid = middle(u)
+        tau_rigid = model.rates(mid, tau_m, width).tau_t[list(model.rigid)] if model.rigid else x.tau_rigid
+        end = 2.0 * u - u0
+        return State(
+            x.t + h,
+            model.body.integrate(x.q, h * mid.v),
+            end[:nv],
+            x.theta + h * mid.dtheta,
+            end[nv : nv + nf],
+            end[nv + nf :],
+            (mid.v - x.v) / a,
+            (mid.dtheta - x.dtheta) / a,
+            tau_rigid,
+        )
+
+    return step
+
+
+def _newton(
+    missing: Callable[[np.ndarray], np.ndarray],
+    u: np.ndarray,
+    failed: Callable[[int], SimulationError],
+) -> np.ndarray:
+    """The root of `missing`; `failed` gives the error to raise from the place of the worst entry."""
+    error = missing(u)
+    slopes, fresh = _slopes(missing, u, error), True
+    before = np.inf
+    for _ in range(ITERATIONS):
+        try:
+            move = -np.linalg.solve(slopes, error)
+        except np.linalg.LinAlgError:
+            break
+        size = _size(move, u)
+        if not np.isfinite(size):
+            break
+        if size <= CONVERGED or (size <= STALLED and size >= 0.5 * before):
+            return u + move
+        share, trial = 1.0, missing(u + move)
+        if _size(trial, u) > _size(error, u):
+            if not fresh:
+                slopes, fresh, before = _slopes(missing, u, error), True, np.inf
+                continue
+            for _ in range(HALVINGS):  # a kink, or too far: go part of the way
+                share *= 0.5
+                trial = missing(u + share * move)
+                if _size(trial, u) <= _size(error, u):
+                    break
+        u, error = u + share * move, trial
+        if share < 1.0 or size > SLOW * before:
+            slopes, fresh = _slopes(missing, u, error), True
+        else:
+            fresh = False
+        before = size
+    raise failed(int(np.argmax(np.abs(error) / (1.0 + np.abs(u)))))
+
+
+def _slopes(missing: Callable[[np.ndarray], np.ndarray], u: np.ndarray, error: np.ndarray) -> np.ndarray:
+    out = np.empty((len(u), len(u)))
+    for k in range(len(u)):
+        moved = u.copy()
+        moved[k] += NUDGE * (1.0 + abs(u[k]))
+        out[:, k] = (missing(moved) - error) / (moved[k] - u[k])
+    return out
+
+
+def _size(change: np.ndarray, u: np.ndarray) -> Any:
+    return np.max(np.abs(change) / (1.0 + np.abs(u))) if len(u) else 0.0
+
+
+def _failed(model: FlexibleJointModel, x: State, h: float, worst: int) -> SimulationError:
+    nv, nf = model.nv, model.nf
+    if worst < nv:
+        owners = [joint.name for joint in model.joints if joint.idx_v == worst] or [f"v[{worst}]"]
+    elif worst < nv + nf:
+        owners = [model.joints[model.flexible[worst - nv]].name]
+    else:
+        owners = [model.state_names[model.nq + nv + 2 * nf + worst - nv - nf]]
+    return SimulationError(
+        f"implicit_midpoint: Newton's method did not converge in the step from t = {x.t:.6g} s (h = {h:g} s),"
+        f" worst at joint {owners[0]}; raise the physics rate, widen the smoothing of dry friction, or use"
+        " linearly_implicit_midpoint"
+    )

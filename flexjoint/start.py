@@ -1,0 +1,28 @@
+"""Where a simulation begins when nothing else is said: at rest, springs carrying the load."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flexjoint.equilibrium import equilibrium
+from flexjoint.model import FlexibleJointModel, State
+
+
+def initial_positions(model: FlexibleJointModel) -> np.ndarray:
+    """(nq,) neutral, with the positions that the robot file gives under `initial`."""
+    q = model.body.neutral.copy()
+    body = model.robot.model
+    for name, value in model.robot.file.initial.items():
+        if body.existJointName(name):
+            q[body.joints[body.getJointId(name)].idx_q] = value
+    return q
+
+
+def at_rest(model: FlexibleJointModel, q: np.ndarray) -> State:
+    """The state at rest at link positions q (nq,), springs carrying the load.
+
+    Raises ModelError when a spring cannot.
+    """
+    state = model.rest(q)
+    state.theta = equilibrium(model, q).theta[0, list(model.flexible)]
+    return state
