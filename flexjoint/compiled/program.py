@@ -1,0 +1,160 @@
+"""The C program of a model: its step, sensors and control law as generated functions, and the driver.
+
+Parameters of robot, effects and law are inputs. What depends on parameters alone (K dt/2 + D, sines of a
+base's tilt, ...) is computed once per run by fj_setup and not in every step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from importlib import resources
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from flexjoint.c_code import c_source, unguarded
+from flexjoint.control import Law
+from flexjoint.effect import SENSOR_CHANNELS, Signals
+from flexjoint.symbolic import DiscreteModel, SymbolicModel
+
+
+@dataclass(frozen=True)
+class Program:
+    """C source and the sizes of what goes in and out.
+
+    A state row holds x (nx,), acc (nv,), ddtheta (nf,), tau_rigid (nr,). `reads` are the channels of the law,
+    `references` the names in a row of reference; gains are the law's fields in `gains`, in their order.
+    """
+
+    source: str
+    nq: int
+    nv: int
+    row: int
+    inputs: int
+    readings: int
+    reference: int
+    gain: int
+    parameters: int
+    constants: int
+    observed: int
+    reads: tuple[str, ...]
+    references: tuple[str, ...]
+    gains: tuple[str, ...]
+
+
+def write_program(
+    symbolic: SymbolicModel,
+    rate: float,
+    scheme: str,
+    width: float | None,
+    law: Law | None = None,
+    references: Sequence[str] = (),
+) -> Program:
+    """The program of a symbolic model at `rate` steps per second; without a law it takes given torques.
+
+    Raises what the symbolic model and the scheme raise; a scheme or law that cannot take CasADi
+    expressions raises whatever its code does on them.
+    """
+    model, n = symbolic.model, len(symbolic.robot.joints)
+    discrete = DiscreteModel(symbolic, rate, scheme, width)
+    x = ca.SX.sym("x", discrete.plain)
+    state = discrete.unpack(x)
+    true = {(channel, i): value for (channel, i), value in symbolic.true(state).items()}
+    for place, i in enumerate(model.rigid):
+        true["tau_t", i] = state.tau_rigid[place]
+    reads = () if law is None else law.reads
+    y, r = ca.SX.sym("y", n * len(reads)), ca.SX.sym("r", n * len(references))
+    free, gains = (None, {}) if law is None else free_law(law)
+    g = ca.vertcat(ca.SX(0, 1), *gains.values())
+    torque: ca.SX = ca.SX.zeros(n)
+    if free is not None:
+        reading = {
+            channel: ca.vertcat(
+                *(
+                    flow.read(channel, Signals(t=symbolic.t), y[k * n + i])
+                    for i, flow in enumerate(model.flows)
+                )
+            )
+            for k, channel in enumerate(reads)
+        }
+        reference = {name: r[k * n : (k + 1) * n] for k, name in enumerate(references)}
+        torque = ca.SX(ca.densify(free.torque(reference, reading)))
+    outputs = {
+        "fj_step": discrete.advanced(state, symbolic.u),
+        # at a tick the command to come is not known: a law sees springs without it
+        "fj_signals": ca.substitute(
+            _column(true[channel, i] for channel in reads for i in range(n)), symbolic.u, ca.SX.zeros(n)
+        ),
+        "fj_observe": _column(true[channel, i] for channel in SENSOR_CHANNELS for i in range(n)),
+        "fj_control": torque,
+    }
+    # the tree of bodies is large: shared expressions are found once for all functions
+    shared = ca.cse([ca.densify(value) for value in outputs.values()])
+    rest, symbols, constant = ca.extract_parametric(shared, symbolic.p, {"extract_trivial": True})
+    c = ca.vertcat(ca.SX(0, 1), *symbols)
+    bodies = dict(zip(outputs, rest, strict=True))
+    arguments = {
+        "fj_step": [x, symbolic.u, c, symbolic.t],
+        "fj_signals": [x, c],
+        "fj_observe": [x, symbolic.u, c, symbolic.t],
+        "fj_control": [y, r, g, c, symbolic.t],
+    }
+    # signals of a law do not depend on time: `since` is told apart by models
+    bodies["fj_signals"] = ca.substitute(bodies["fj_signals"], symbolic.t, ca.SX(0))
+    functions = [ca.Function(name, arguments[name], [bodies[name]]) for name in outputs]
+    functions.append(ca.Function("fj_setup", [symbolic.p], [ca.vertcat(ca.SX(0, 1), *constant)]))
+    sizes = {
+        "FJ_NQ": model.nq,
+        "FJ_NV": model.nv,
+        "FJ_NX": discrete.plain,
+        "FJ_NU": n,
+        "FJ_NY": n * len(reads),
+        "FJ_NR": n * len(references),
+        "FJ_NG": g.numel(),
+        "FJ_NC": c.numel(),
+        "FJ_NO": 7 * n,
+    }
+    defines = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+    export = '#define FJ_EXPORT __attribute__((visibility("default")))\n'
+    driver = resources.files("flexjoint.compiled").joinpath("driver.c").read_text(encoding="utf-8")
+    return Program(
+        "\n".join([unguarded(c_source(functions)), defines + export, driver]),
+        model.nq,
+        model.nv,
+        discrete.plain,
+        n,
+        sizes["FJ_NY"],
+        sizes["FJ_NR"],
+        sizes["FJ_NG"],
+        symbolic.p.numel(),
+        sizes["FJ_NC"],
+        sizes["FJ_NO"],
+        tuple(reads),
+        tuple(references),
+        tuple(gains),
+    )
+
+
+def free_law(law: Law) -> tuple[Law, dict[str, ca.SX]]:
+    """The law with symbols for its numbers, and these by field; words and switches stay."""
+    symbols = {}
+    for name, value in numbers_of(law).items():
+        symbols[name] = ca.SX.sym(name, len(value))
+    return replace(law, **symbols), symbols  # type: ignore[type-var]
+
+
+def numbers_of(law: Law) -> dict[str, np.ndarray]:
+    """The law's numbers by field, each (k,)."""
+    found: dict[str, Any] = {field.name: getattr(law, field.name) for field in fields(law)}  # type: ignore[arg-type]
+    numeric = {
+        name: value
+        for name, value in found.items()
+        if isinstance(value, (int, float, np.ndarray)) and not isinstance(value, bool)
+    }
+    return {name: np.atleast_1d(np.asarray(value, dtype=float)) for name, value in numeric.items()}
+
+
+def _column(values: Any) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *values)
