@@ -19,7 +19,6 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from flexjoint.body import inertial_of
 from flexjoint.c_code import c_source, renamed
 from flexjoint.effect import SENSOR_CHANNELS, Drive, Planned, Signals
 from flexjoint.errors import ModelError, unknown
@@ -27,12 +26,9 @@ from flexjoint.files import write_text
 from flexjoint.integrate import DEFAULT, make_step
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.ops import Value
+from flexjoint.parameters import DRIVE_KEYS, FREE, INERTIAL_KEYS, labels, parameter_table
 from flexjoint.robot import Joint, Robot
 from flexjoint.symbolic_body import SymbolicBody
-
-FREE = ("drives", "inertial")
-DRIVE_KEYS = {"K": "stiffness", "D": "damping", "B": "motor_inertia", "D_m": "motor_damping"}
-INERTIAL_KEYS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
 
 @dataclass(frozen=True)
@@ -54,34 +50,6 @@ class FreeJoint(Joint):
     @property
     def rigid(self) -> bool:
         return self.is_rigid
-
-
-def parameter_table(
-    joints: Iterable[Joint], effects: Iterable[Planned], model: Any, free: Collection[str] = ()
-) -> dict[str, float]:
-    """Names and numbers of the free parameters, in the order of `SymbolicModel.parameters`: those of the
-    effects, then with "drives" those of the drives, then with "inertial" those of the bodies."""
-    table: dict[str, float] = {}
-    for planned in effects:
-        for param in planned.effect.params:
-            value = getattr(planned.p, param.name)
-            labels = _labels(planned, param.name, param.size)
-            table.update(zip(labels, [value] if param.size == 1 else value, strict=True))
-    if "drives" in free:
-        for joint in joints:
-            for symbol, key in DRIVE_KEYS.items():
-                if not (joint.rigid and symbol in ("K", "D")):
-                    table[f"drive.{joint.name}.{key}"] = getattr(joint.drive, symbol)
-    if "inertial" in free:
-        for k, row in enumerate(inertial_of(model)):
-            names = [f"body.{model.names[k + 1]}.{key}" for key in INERTIAL_KEYS]
-            table.update(zip(names, row.tolist(), strict=True))
-    return {name: float(value) for name, value in table.items()}
-
-
-def _labels(planned: Planned, name: str, size: int) -> list[str]:
-    label = f"{planned.effect.name}.{planned.joint or 'robot'}.{name}"
-    return [label] if size == 1 else [f"{label}[{k}]" for k in range(size)]
 
 
 class SymbolicModel:
@@ -209,7 +177,7 @@ def _freed(planned: Planned, symbols: Mapping[str, ca.SX]) -> Planned:
     """The effect with symbols for its numbers."""
     given: dict[str, Any] = {}
     for param in planned.effect.params:
-        own = [symbols[label] for label in _labels(planned, param.name, param.size)]
+        own = [symbols[label] for label in labels(planned, param.name, param.size)]
         given[param.name] = own[0] if param.size == 1 else tuple(own)
     return planned.with_values(given)
 

@@ -23,7 +23,8 @@ from flexjoint.control import Law
 from flexjoint.errors import SimulationError
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
-from flexjoint.symbolic import SymbolicModel, parameter_table
+from flexjoint.parameters import parameter_table
+from flexjoint.symbolic import SymbolicModel
 
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 
@@ -220,11 +221,12 @@ class CompiledModel:
         for phase, (_, until) in zip(self.phases, segments, strict=True):
             constants = np.empty(max(phase.program.constants, 1))
             phase.library.flexjoint_setup(_doubles(job.values), _doubles(constants))
-            command, reading = (np.array(d).ravel() * self.rate for d in phase.delays(job.values))
-            reading = reading + self._sensing * self.rate
             run.constants = _pointer(constants)
-            run.command_delay = _pointer(command) if self._late else None
-            run.reading_delay = _pointer(reading) if self._delayed else None
+            if self._late or self._delayed:
+                command, reading = (np.array(d).ravel() * self.rate for d in phase.delays(job.values))
+                reading = reading + self._sensing * self.rate
+                run.command_delay = _pointer(command) if self._late else None
+                run.reading_delay = _pointer(reading) if self._delayed else None
             run.begin, run.end = done, until
             failed = phase.library.flexjoint_run(ctypes.byref(run))
             if failed >= 0:
