@@ -10,24 +10,27 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from flexjoint import clockwork
-from flexjoint.clockwork import Trajectory, true_signals
+from flexjoint.clockwork import REFERENCES, Ticks, check_references, true_signals
 from flexjoint.compiled import CompiledModel, Job
 from flexjoint.compiled.model import row_of
-from flexjoint.compiled.program import numbers_of
+from flexjoint.compiled.program import numbers_of, with_numbers
 from flexjoint.control import Law
 from flexjoint.effect import Planned
 from flexjoint.engine import LONG, Engine, choose
 from flexjoint.errors import SimulationError, unknown
-from flexjoint.integrate import DEFAULT, check_stability
+from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.parameters import parameter_table, renumbered
 from flexjoint.robot import Robot
+from flexjoint.springs import VariableSpring
+from flexjoint.stability import check_stability
+from flexjoint.trajectory import Trajectory
 
 SIGNALS = ("q", "dq", "theta", "dtheta", "tau_t", "tau_m", "error")
 
@@ -137,25 +140,21 @@ def closed_loops(
 
     Raises as `rollouts`; UnknownNameError for a gain that the law has not.
     """
-    table = {name: np.asarray(values, dtype=float) for name, values in references.items()}
-    ticks = len(next(iter(table.values())))
-    for name, values in table.items():
-        if values.shape != (ticks, len(model.joints)):
-            raise SimulationError(f"{name}: expected ({ticks}, {len(model.joints)}), got {values.shape}")
+    ticks = check_references(references, len(model.joints))
     own = numbers_of(law)
     for name in gains or {}:
         if name not in own:
             raise unknown("gain", name, own)
-    steps = ticks * max(1, round(rate / model.robot.rates.control))
-    work = _Work(rate, law, tuple(table), scheme, width, every, steps)
+    steps = Ticks(rate, model.robot.rates.control).steps(ticks)
+    work = _Work(rate, law, REFERENCES, scheme, width, every, steps)
     count = _count(starts, parameters, gains or {}, {})
     laws = []
     for k in range(count):
         new = {
             name: np.asarray(values)[k] * np.ones_like(own[name]) for name, values in (gains or {}).items()
         }
-        laws.append(replace(law, **new) if new else law)  # type: ignore[type-var]
-    rows = np.hstack([table[name] for name in table])
+        laws.append(with_numbers(law, {**own, **new}))
+    rows = np.hstack([np.asarray(references[name], dtype=float) for name in REFERENCES])
     return _run(
         model, work, _each(starts, count), [rows] * count, laws, parameters, engine, workers, progress
     )
@@ -215,15 +214,17 @@ def _run(
     compiled = choose(model, total, work.rate, work.law, work.references, work.scheme, work.width, engine)
     if work.scheme != DEFAULT:
         for start, item in zip(starts, numbered, strict=True):
-            other = FlexibleJointModel(*item) if item else model
+            other = FlexibleJointModel(*item, springs=model.springs) if item else model
             check_stability(other, start, 1.0 / work.rate, work.scheme)
     tasks: list[tuple[Any, ...]] = []
     for start, drive, law, item in zip(starts, drives, laws, numbered, strict=True):
         if compiled is None:
             robot, effects = item or (model.robot, model.effects)
-            tasks.append((work, robot, effects, start, drive, law))
+            tasks.append((work, robot, effects, model.springs, start, drive, law))
         else:
             tasks.append((compiled, _job(compiled, model, work.steps, start, drive, law, item), every))
+    if model.springs and compiled is None:
+        workers = 1  # functions of time do not travel to other processes
     with _executor(compiled, workers, total) as executor:
         done = _in_order(executor, _by_pin if compiled is None else _by_c, tasks, progress)
     return _gathered(model, work, starts, done)
@@ -255,11 +256,12 @@ def _by_pin(
     work: _Work,
     robot: Robot,
     effects: tuple[Planned, ...],
+    springs: Mapping[str, VariableSpring],
     start: State,
     drive: np.ndarray,
     law: Law | None,
 ) -> _One:
-    model, n = FlexibleJointModel(robot, effects), len(robot.joints)
+    model, n = FlexibleJointModel(robot, effects, springs=springs), len(robot.joints)
     references = {name: drive[:, k * n : (k + 1) * n] for k, name in enumerate(work.references)}
     timing = (work.rate, None, work.scheme, work.width)
     try:
@@ -276,7 +278,7 @@ def _by_pin(
     x = np.hstack([getattr(tape, name)[tape.first :] for name in ("q", "v", "theta", "dtheta", "z")])
     true = true_signals(model, tape)
     columns = [true[c, joint.name][rows] for c in SIGNALS[:5] for joint in model.joints]
-    observed = np.column_stack([*columns, tape.tau_m[rows], _error(model, tape, rows, references)])
+    observed = np.column_stack([*columns, tape.tau_m[rows], _error(model, tape, rows, references, work.rate)])
     sums = np.array([observed.min(0), observed.max(0), observed.sum(0), (observed**2).sum(0)])
     stride = work.every or work.steps + 1
     kept_rows = slice(0, work.steps if work.every else 0, stride)
@@ -284,13 +286,17 @@ def _by_pin(
 
 
 def _error(
-    model: FlexibleJointModel, tape: Trajectory, rows: slice, references: Mapping[str, np.ndarray]
+    model: FlexibleJointModel,
+    tape: Trajectory,
+    rows: slice,
+    references: Mapping[str, np.ndarray],
+    rate: float,
 ) -> np.ndarray:
     q = tape.q[rows][:, [joint.idx_q for joint in model.joints]]
     if "q_ref" not in references:
         return np.zeros_like(q)
-    held = np.repeat(references["q_ref"], len(q) // len(references["q_ref"]), axis=0)
-    return held - q
+    ticks = Ticks(rate, model.robot.rates.control)
+    return references["q_ref"][[ticks.last(step) for step in range(len(q))]] - q
 
 
 @contextmanager

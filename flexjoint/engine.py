@@ -14,13 +14,15 @@ from typing import Literal
 import numpy as np
 
 from flexjoint import clockwork
-from flexjoint.clockwork import Past, Trajectory
+from flexjoint.clockwork import REFERENCES, Ticks, check_references
 from flexjoint.compiled import CompiledModel, CompilerError, Job, compiled_for
 from flexjoint.compiled.model import row_of
 from flexjoint.control import Law
 from flexjoint.errors import FlexJointError, SimulationError, unknown
-from flexjoint.integrate import DEFAULT, check_stability
+from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
+from flexjoint.stability import check_stability
+from flexjoint.trajectory import Past, Trajectory
 
 Engine = Literal["auto", "compiled", "pin"]
 ENGINES = ("auto", "compiled", "pin")
@@ -68,9 +70,9 @@ def closed_loop(
     engine: Engine = "auto",
 ) -> Trajectory:
     """`flexjoint.clockwork.closed_loop` by the engine: as `rollout`."""
-    ticks = len(next(iter(references.values())))
-    steps = ticks * max(1, round(rate / model.robot.rates.control))
-    compiled = choose(model, steps, rate, law, tuple(references), scheme, width, engine)
+    ticks = check_references(references, len(model.joints))
+    steps = Ticks(rate, model.robot.rates.control).steps(ticks)
+    compiled = choose(model, steps, rate, law, REFERENCES, scheme, width, engine)
     if compiled is None:
         return clockwork.closed_loop(model, start, law, references, rate, past, scheme, width)
     return _run(compiled, model, start, law, compiled.references(references), past)
@@ -127,7 +129,7 @@ def job_of(
         values=compiled.values(model),
         drive=drive,
         gains=compiled.gains(law),
-        steps=len(drive) * compiled.steps_per_tick,
+        steps=compiled.ticks.steps(len(drive)),
         before=None if past is None else compiled.before(model, start, past),
     )
 

@@ -28,6 +28,7 @@ from flexjoint.model import FlexibleJointModel, State
 from flexjoint.ops import Value
 from flexjoint.parameters import DRIVE_KEYS, FREE, INERTIAL_KEYS, labels, parameter_table
 from flexjoint.robot import Joint, Robot
+from flexjoint.springs import VariableSpring
 from flexjoint.symbolic_body import SymbolicBody
 
 
@@ -63,7 +64,7 @@ class SymbolicModel:
         free: what else becomes a parameter: "drives" (drive.joint.stiffness, damping, motor_inertia,
             motor_damping; the first two not of rigid joints), "inertial" (body.joint.m, mx .. Izz of every
             moving body, in Pinocchio's order; costs the constants that a step could fold).
-        at: effects whose `since` [s] is later than this are asleep (default: none is).
+        at, springs: see FlexibleJointModel.
 
     Raises what FlexibleJointModel and SymbolicBody raise, and UnknownNameError for `free`.
     """
@@ -74,6 +75,7 @@ class SymbolicModel:
         effects: Iterable[Planned] | None = None,
         free: Collection[str] = (),
         at: float = math.inf,
+        springs: Mapping[str, VariableSpring] | None = None,
     ) -> None:
         for name in free:
             if name not in FREE:
@@ -84,13 +86,14 @@ class SymbolicModel:
         self.values: np.ndarray = np.array(list(table.values()))
         symbols = {name: ca.SX.sym(name) for name in table}
         joints = tuple(_with_symbols(joint, symbols) for joint in robot.joints) if "drives" in free else None
-        self.robot, self.at = robot, at
+        self.robot, self.at, self.springs = robot, at, springs
         self.effects = planned
         self.model = FlexibleJointModel(
             replace(robot, joints=joints) if joints else robot,
             [_freed(item, symbols) for item in planned],
             _body_of(robot.model, symbols) if "inertial" in free else SymbolicBody,
             at,
+            springs,
         )
         self.p = ca.vertcat(ca.SX(0, 1), *symbols.values())
         self.u = ca.SX.sym("u", len(robot.joints))
@@ -238,7 +241,9 @@ class DiscreteModel:
     def start(self, state: State, tau_m: np.ndarray) -> np.ndarray:
         """The discrete state of a numeric state before which it and tau_m (n,) have held."""
         symbolic = self.symbolic
-        numeric = FlexibleJointModel(symbolic.robot, symbolic.effects, at=symbolic.at)
+        numeric = FlexibleJointModel(
+            symbolic.robot, symbolic.effects, at=symbolic.at, springs=symbolic.springs
+        )
         parts = [numeric.pack(state), state.acc, state.ddtheta, state.tau_rigid]
         for delay in self.delays:
             value = tau_m[delay.joint]

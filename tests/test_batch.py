@@ -130,6 +130,6 @@ def test_what_does_not_fit_is_refused() -> None:
         rollouts(MODEL, MODEL.rest(), torque, 1000.0, workers=0)
     with pytest.raises(UnknownNameError, match="kd, kp, limit"):
         closed_loops(MODEL, MODEL.rest(), LAW, REFERENCES, 1000.0, gains={"ki": np.ones(2)})
-    with pytest.raises(SimulationError, match="theta_ref: expected"):
+    with pytest.raises(SimulationError, match="references: expected"):
         closed_loops(MODEL, MODEL.rest(), LAW, {**REFERENCES, "theta_ref": np.zeros((3, 2))}, 1000.0)
     assert parameter_names(MODEL)[:2] == ("motor_coulomb_friction.hip.level", "drive.hip.stiffness")

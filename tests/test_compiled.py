@@ -7,21 +7,23 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each, waves
 from example_robots import centauro, ur5
 
-from flexjoint import engine
+from flexjoint import engine, ops
 from flexjoint.clockwork import Past, Trajectory, physics_rate
 from flexjoint.compiled import CompiledModel, CompilerError, cache, compiled_for, compiler, shared
-from flexjoint.control import LAWS, law_of
+from flexjoint.control import LAWS, gain_names, law_of
 from flexjoint.effect import Planned, plan
-from flexjoint.errors import SimulationError, UnknownNameError
-from flexjoint.integrate import DEFAULT, SCHEMES
+from flexjoint.errors import ModelError, SimulationError, UnknownNameError
+from flexjoint.integrate import DEFAULT, NUMBERS_ONLY, SCHEMES
 from flexjoint.model import FlexibleJointModel
 from flexjoint.robot import Robot, load, shipped_robots
+from flexjoint.springs import VariableSpring
 
 # Both evaluate the same expressions in double precision; sines, powers and the order of sums in the
 # articulated-body algorithm differ in the last digit, and a motion of 1 s carries that on.
@@ -98,7 +100,11 @@ def test_every_scheme_agrees_over_a_second(scheme: str) -> None:
         base="floating",
         rates={"physics": 2000, "control": 500},
     )
-    loops_agree(robot, FRICTIONS, 2000.0, scheme, 0.05)
+    if scheme in NUMBERS_ONLY:
+        with pytest.raises(ModelError, match=scheme):
+            loops_agree(robot, FRICTIONS, 2000.0, scheme, 0.05, 2e-3)
+    else:
+        loops_agree(robot, FRICTIONS, 2000.0, scheme, 0.05)
 
 
 @pytest.mark.parametrize("name", [*shipped_robots(), "ur5", "centauro"])
@@ -107,9 +113,34 @@ def test_every_robot_agrees_over_a_second(name: str) -> None:
     loops_agree(robot, None, physics_rate(robot))
 
 
+GAINS = {"kp_link": 5.0, "kd_link": 0.3, "k_torque": 0.5, "kd_spring": 0.2}
+
+
 @pytest.mark.parametrize("name", LAWS)
 def test_every_law_agrees(name: str) -> None:
-    loops_agree(make(PLANAR, {joint: {"controller": name} for joint in ("hip", "knee")}), [], seconds=0.3)
+    """Beside a motor PD on the other joint, with readings of tau_t that come late, through a gap."""
+    own = {gain: value for gain, value in GAINS.items() if gain in gain_names(LAWS[name])}
+    robot = make(PLANAR, {"knee": {"controller": {"name": name, **own}}}, sensing_delay=0.0023)
+    loops_agree(robot, [plan("backlash", "knee", {"gap": 0.01})], seconds=0.5)
+
+
+@pytest.mark.parametrize(("physics", "control"), [(1000.0, 300.0), (500.0, 1200.0)])
+def test_any_two_rates_agree(physics: float, control: float) -> None:
+    loops_agree(make(PLANAR, rates={"physics": physics, "control": control}), [], physics)
+
+
+def test_variable_springs_agree() -> None:
+    def stiffness(t: Any) -> Any:
+        return 400.0 + 200.0 * ops.sin(7.0 * t)
+
+    springs = {"knee": VariableSpring(stiffness)}
+    model = FlexibleJointModel(make(PLANAR, {"hip": {"controller": "full_state"}}), springs=springs)
+    law, table = law_of(model.robot), references(model.robot)
+    pin_loop, compiled = (
+        engine.closed_loop(model, moving(model), law, table, 1000.0, engine=kind)
+        for kind in ("pin", "compiled")
+    )
+    agree(pin_loop, compiled)
 
 
 def test_onsets_delays_and_several_steps_per_tick_agree() -> None:

@@ -26,28 +26,33 @@ typedef struct {
   double *summary;             /* (4, FJ_NO) least, largest, sum, sum of squares, or null */
   fj_int window, first;        /* rows; the row of the start */
   fj_int begin, end;           /* steps to take, counted from the start */
-  fj_int steps_per_tick, stride, q_ref; /* q_ref: its place in a row of reference, -1: none */
+  fj_int tick_count, tick_steps; /* f_c / f_s as a fraction */
+  fj_int stride, q_ref;          /* q_ref: its place in a row of reference, -1: none */
   fj_int fill;                 /* whether the first command also holds before the start */
   double t_start, t, h;        /* [s] time at the start, at step `begin`, of a step */
 } fj_run;
 
 static double fj_earlier(const double *table, fj_int width, fj_int window, fj_int column, fj_int row,
                          double delay) {
-  double place = (double)row - delay, share, low_value;
-  fj_int low;
-  if (!(place > 0.0)) place = 0.0;
-  low = (fj_int)place;
-  share = place - (double)low;
-  low_value = table[(low % window) * width + column];
-  if (share == 0.0) return low_value;
-  return (1.0 - share) * low_value + share * table[((low + 1) % window) * width + column];
+  double whole = ceil(delay), share, low;
+  fj_int place;
+  if (delay >= (double)row) return table[column]; /* row 0, never overwritten while it counts */
+  place = row - (fj_int)whole;
+  share = whole - delay;
+  low = table[(place % window) * width + column];
+  if (share == 0.0) return low;
+  return (1.0 - share) * low + share * table[((place + 1) % window) * width + column];
 }
+
+/* The latest tick at or before a step. */
+static fj_int fj_last(const fj_run *run, fj_int step) { return step * run->tick_count / run->tick_steps; }
 
 static void fj_true(const fj_run *run, fj_int row, double *y) {
   const double *arg[3];
-  double *res[1];
+  double *res[1], time = run->t_start + run->h * (double)(row - run->first);
   arg[0] = run->x + (row % run->window) * FJ_NX;
   arg[1] = run->constants;
+  arg[2] = &time;
   res[0] = y;
   fj_signals(arg, res, 0, 0, 0);
 }
@@ -60,7 +65,7 @@ static void fj_command(const fj_run *run, fj_int k, double *tau) {
     memcpy(tau, run->torque + k * FJ_NU, FJ_NU * sizeof(double));
     return;
   }
-  if (k % run->steps_per_tick) {
+  if (k && fj_last(run, k) == fj_last(run, k - 1)) {
     memcpy(tau, run->tau_m + ((row - 1) % run->window) * FJ_NU, FJ_NU * sizeof(double));
     return;
   }
@@ -71,7 +76,7 @@ static void fj_command(const fj_run *run, fj_int k, double *tau) {
   }
   time = run->t_start + run->h * (double)k;
   arg[0] = y;
-  arg[1] = run->reference + (k / run->steps_per_tick) * FJ_NR;
+  arg[1] = run->reference + fj_last(run, k) * FJ_NR;
   arg[2] = run->gains;
   arg[3] = run->constants;
   arg[4] = &time;
@@ -94,7 +99,7 @@ static void fj_sum_up(const fj_run *run, fj_int k, const double *x, const double
   for (i = 0; i < FJ_NU; i++) {
     double wanted = o[i];
     if (run->q_ref >= 0 && !run->torque)
-      wanted = run->reference[(k / run->steps_per_tick) * FJ_NR + run->q_ref + i];
+      wanted = run->reference[fj_last(run, k) * FJ_NR + run->q_ref + i];
     o[6 * FJ_NU + i] = wanted - o[i];
   }
   for (i = 0; i < FJ_NO; i++) {
@@ -107,7 +112,7 @@ static void fj_sum_up(const fj_run *run, fj_int k, const double *x, const double
 
 static int fj_finite(const double *x) {
   fj_int i;
-  for (i = FJ_NQ; i < FJ_NQ + FJ_NV; i++)
+  for (i = FJ_NQ; i < FJ_NQ + FJ_NV + 2 * FJ_NF; i++) /* v, theta, dtheta */
     if (!isfinite(x[i])) return 0;
   return 1;
 }
@@ -121,7 +126,7 @@ FJ_EXPORT void flexjoint_setup(const double *parameters, double *constants) {
   fj_setup(arg, res, 0, 0, 0);
 }
 
-/* Take the steps [begin, end). Returns -1, or the step after which a velocity was not finite. */
+/* Take the steps [begin, end). Returns -1, or the step after which the state was not finite. */
 FJ_EXPORT fj_int flexjoint_run(fj_run *run) {
   const double *arg[4];
   double *res[1], late[FJ_NU + 1];

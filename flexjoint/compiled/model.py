@@ -15,16 +15,16 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from flexjoint.clockwork import Past, Trajectory, _diverged, _segments, longest_delay
+from flexjoint.clockwork import Ticks, _segments, diverged, longest_delay
 from flexjoint.compiled.cache import library
 from flexjoint.compiled.compiler import Compiler, CompilerError, compilers
 from flexjoint.compiled.program import Program, numbers_of, write_program
 from flexjoint.control import Law
-from flexjoint.errors import SimulationError
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.parameters import parameter_table
 from flexjoint.symbolic import SymbolicModel
+from flexjoint.trajectory import Past, Trajectory
 
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 
@@ -52,7 +52,17 @@ class _Run(ctypes.Structure):
         ),
         *(
             (name, ctypes.c_longlong)
-            for name in ("window", "first", "begin", "end", "steps_per_tick", "stride", "q_ref", "fill")
+            for name in (
+                "window",
+                "first",
+                "begin",
+                "end",
+                "tick_count",
+                "tick_steps",
+                "stride",
+                "q_ref",
+                "fill",
+            )
         ),
         *((name, ctypes.c_double) for name in ("t_start", "t", "h")),
     )
@@ -127,14 +137,14 @@ class CompiledModel:
         self.rate, self.scheme, self.free = rate, scheme, tuple(free)
         self.law_kind = type(law) if law is not None else None
         self._layout = model  # for sizes, names and effects' onsets
-        self.steps_per_tick = 1 if law is None else ticks_of(model, rate)
+        self.ticks = Ticks(rate, rate if law is None else model.robot.rates.control)
         longest = longest_delay(model)
         self.history = math.ceil(longest * rate - 1e-9) + 1 if longest > 0.0 else 0
         self._late = any(flow.max_command_delay > 0.0 for _, phase in model.phases for flow in phase.flows)
         times = (-math.inf, *model.onsets) if model.onsets else (math.inf,)
         phases: list[Phase] = []
         for at in times:
-            symbolic = SymbolicModel(model.robot, model.effects, self.free, at)
+            symbolic = SymbolicModel(model.robot, model.effects, self.free, at, model.springs)
             program = write_program(symbolic, rate, scheme, width, law, references)
             self.compiler, loaded = _load(program, compiler)
             phases.append(Phase(program, loaded, _delays(symbolic, program)))
@@ -164,13 +174,7 @@ class CompiledModel:
     def references(self, references: Mapping[str, np.ndarray]) -> np.ndarray:
         """(ticks, reference) rows of references (ticks, n) by name."""
         columns = [np.asarray(references[name], dtype=float) for name in self.program.references]
-        for name, values in zip(self.program.references, columns, strict=True):
-            if values.shape != (len(columns[0]), self.program.inputs):
-                raise SimulationError(
-                    f"{name}: expected ({len(columns[0])}, {self.program.inputs}), one row per tick and one"
-                    f" column per joint, got {values.shape}"
-                )
-        return np.hstack(columns) if columns else np.zeros((0, 0))
+        return np.hstack(columns)
 
     def before(self, model: FlexibleJointModel, start: State, past: Past) -> tuple[np.ndarray, np.ndarray]:
         """Rows of what went before a start."""
@@ -214,7 +218,8 @@ class CompiledModel:
         names = program.references
         run.q_ref = names.index("q_ref") * n if "q_ref" in names else -1
         run.window, run.first, run.stride, run.fill = window, first, max(stride, 1), job.before is None
-        run.steps_per_tick, run.h = self.steps_per_tick, 1.0 / self.rate
+        run.tick_count, run.tick_steps = self.ticks.ratio
+        run.h = 1.0 / self.rate
         run.t_start = run.t = job.t
         failed, done = -1, 0
         segments = _segments(self._layout, job.t, job.steps, 1.0 / self.rate)
@@ -248,21 +253,11 @@ class CompiledModel:
         time = job.t + (np.arange(len(x)) - rows.first) / self.rate
         tape = Trajectory(time, q, v, theta, dtheta, z, tau_rigid, rows.tau_m, rows.first)
         if rows.failed >= 0:
-            taken = v[rows.first : rows.first + rows.failed + 2]
-            row = rows.first + int(np.argmin(np.isfinite(taken).all(axis=1)))
-            raise _diverged(model, tape, row, self.scheme, self.rate)
+            taken = slice(rows.first, rows.first + rows.failed + 2)
+            finite = np.isfinite(v[taken]).all(axis=1) & np.isfinite(dtheta[taken]).all(axis=1)
+            row = rows.first + int(np.argmin(finite))
+            raise diverged(model, v[row], float(time[row]), self.scheme, self.rate)
         return tape
-
-
-def ticks_of(model: FlexibleJointModel, rate: float) -> int:
-    """Steps per control tick; SimulationError when the rate is no multiple of the control rate."""
-    control = model.robot.rates.control
-    steps = round(rate / control)
-    if steps < 1 or abs(steps * control - rate) > 1e-9 * rate:
-        raise SimulationError(
-            f"the physics rate must be a whole multiple of the control rate {control:g} Hz, got {rate:g}"
-        )
-    return steps
 
 
 def row_of(model: FlexibleJointModel, state: State) -> np.ndarray:

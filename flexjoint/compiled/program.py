@@ -6,7 +6,7 @@ base's tilt, ...) is computed once per run by fj_setup and not in every step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib import resources
 from typing import Any
@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from flexjoint.c_code import c_source, unguarded
-from flexjoint.control import Law
+from flexjoint.control import Law, Mixed
 from flexjoint.effect import SENSOR_CHANNELS, Signals
 from flexjoint.symbolic import DiscreteModel, SymbolicModel
 
@@ -97,17 +97,16 @@ def write_program(
     bodies = dict(zip(outputs, rest, strict=True))
     arguments = {
         "fj_step": [x, symbolic.u, c, symbolic.t],
-        "fj_signals": [x, c],
+        "fj_signals": [x, c, symbolic.t],
         "fj_observe": [x, symbolic.u, c, symbolic.t],
         "fj_control": [y, r, g, c, symbolic.t],
     }
-    # signals of a law do not depend on time: `since` is told apart by models
-    bodies["fj_signals"] = ca.substitute(bodies["fj_signals"], symbolic.t, ca.SX(0))
     functions = [ca.Function(name, arguments[name], [bodies[name]]) for name in outputs]
     functions.append(ca.Function("fj_setup", [symbolic.p], [ca.vertcat(ca.SX(0, 1), *constant)]))
     sizes = {
         "FJ_NQ": model.nq,
         "FJ_NV": model.nv,
+        "FJ_NF": model.nf,
         "FJ_NX": discrete.plain,
         "FJ_NU": n,
         "FJ_NY": n * len(reads),
@@ -137,23 +136,35 @@ def write_program(
     )
 
 
-def free_law(law: Law) -> tuple[Law, dict[str, ca.SX]]:
+def free_law(law: Law) -> tuple[Any, dict[str, ca.SX]]:
     """The law with symbols for its numbers, and these by field; words and switches stay."""
-    symbols = {}
-    for name, value in numbers_of(law).items():
-        symbols[name] = ca.SX.sym(name, len(value))
-    return replace(law, **symbols), symbols  # type: ignore[type-var]
+    symbols = {name: ca.SX.sym(name, len(value)) for name, value in numbers_of(law).items()}
+    return with_numbers(law, symbols), symbols
 
 
-def numbers_of(law: Law) -> dict[str, np.ndarray]:
-    """The law's numbers by field, each (k,)."""
-    found: dict[str, Any] = {field.name: getattr(law, field.name) for field in fields(law)}  # type: ignore[arg-type]
+def numbers_of(law: Any) -> dict[str, np.ndarray]:
+    """The law's numbers by field, each (k,); those of the parts of a `Mixed` law as 0.kp, 1.kp, ..."""
+    if isinstance(law, Mixed):
+        parts = enumerate(part for _, part in law.parts)
+        return {f"{k}.{name}": value for k, part in parts for name, value in numbers_of(part).items()}
+    found: dict[str, Any] = {field.name: getattr(law, field.name) for field in fields(law)}
     numeric = {
         name: value
         for name, value in found.items()
         if isinstance(value, (int, float, np.ndarray)) and not isinstance(value, bool)
     }
     return {name: np.atleast_1d(np.asarray(value, dtype=float)) for name, value in numeric.items()}
+
+
+def with_numbers(law: Any, numbers: Mapping[str, Any]) -> Any:
+    """The law with some of the numbers of `numbers_of` replaced."""
+    if isinstance(law, Mixed):
+        parts = []
+        for k, (places, part) in enumerate(law.parts):
+            own = {name.split(".", 1)[1]: x for name, x in numbers.items() if name.startswith(f"{k}.")}
+            parts.append((places, with_numbers(part, own)))
+        return Mixed(tuple(parts))
+    return replace(law, **numbers)
 
 
 def _column(values: Any) -> ca.SX:

@@ -10,7 +10,7 @@ from typing import Any
 
 from flexjoint.compiled.model import CompiledModel
 from flexjoint.compiled.program import numbers_of
-from flexjoint.control import Law
+from flexjoint.control import Law, Mixed
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel
 
@@ -64,10 +64,17 @@ def _structure(
     )
     control = None
     if law is not None:
-        numbers = numbers_of(law)
-        own = fields(law)  # type: ignore[arg-type]
-        words = tuple((f.name, getattr(law, f.name)) for f in own if f.name not in numbers)
-        sizes = tuple((name, len(value)) for name, value in numbers.items())
-        control = (type(law), words, sizes, tuple(references))
+        sizes = tuple((name, len(value)) for name, value in numbers_of(law).items())
+        control = (_words(law), sizes, tuple(references))
+    springs = tuple(sorted((name, id(s.stiffness), id(s.damping)) for name, s in model.springs.items()))
     timing = (rate, robot.rates.control, robot.file.sensing_delay, scheme, width)
-    return id(robot.model), joints, effects, control, timing, tuple(free)
+    return id(robot.model), joints, effects, springs, control, timing, tuple(free)
+
+
+def _words(law: Any) -> Any:
+    """What of a law is not numbers: its kind, switches, and which joints the parts of a `Mixed` one drive."""
+    if isinstance(law, Mixed):
+        return tuple((places, _words(part)) for places, part in law.parts)
+    numbers = numbers_of(law)
+    words = tuple((f.name, getattr(law, f.name)) for f in fields(law) if f.name not in numbers)
+    return type(law), words
