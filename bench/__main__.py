@@ -38,7 +38,7 @@ RATE, CONTROL = 2000.0, 1000.0
 SECONDS = 0.5  # of the motion whose error is measured
 FINE = 64_000.0  # steps per second of the tight solution
 CHUNK, ROUNDS = 2e-3, 250  # seconds a chunk lasts about; rounds of all contenders
-SOLVED_BY_RK4 = 6  # joints up to which RK4 gives the tight solution (its C compiles slowly beyond)
+SMALL = 6  # joints up to which explicit schemes of order 1 hold at this rate
 RATES = {"physics": RATE, "control": CONTROL}
 ROBOTS: dict[str, Callable[[], Robot]] = {
     "one link": partial(make, PENDULUM, rates=RATES),
@@ -76,12 +76,8 @@ def by_us(robot: Robot, scheme: str, rate: float, seconds: float, kind: engine.E
 
 
 def tight(robot: Robot) -> np.ndarray:
-    """The motion as exactly as need be: RK4 at 64 kHz; for a large robot the default scheme at 32 and
-    64 kHz, extrapolated to step 0 (its error goes with the square of the step)."""
-    if len(robot.joints) <= SOLVED_BY_RK4:
-        return by_us(robot, "rk4", FINE, SECONDS, "compiled")
-    coarse, fine = (by_us(robot, DEFAULT, rate, SECONDS, "compiled") for rate in (FINE / 2, FINE))
-    return (4.0 * fine - coarse) / 3.0
+    """The motion as exactly as need be: RK4 at 64 kHz."""
+    return by_us(robot, "rk4", FINE, SECONDS, "compiled")
 
 
 def by_mujoco(robot: Robot, integrator: str) -> np.ndarray:
@@ -107,9 +103,9 @@ def ours(robot: Robot, exact: np.ndarray) -> list[Contender]:
     model, law = FlexibleJointModel(robot), law_of(robot)
     table = references(len(robot.joints), SECONDS)
     found = []
-    schemes = [DEFAULT]
-    if len(robot.joints) <= SOLVED_BY_RK4:
-        schemes += [name for name in SCHEMES if name != DEFAULT and name not in NUMBERS_ONLY]
+    schemes = [DEFAULT, "rk4"]
+    if len(robot.joints) <= SMALL:
+        schemes += [name for name in SCHEMES if name not in schemes and name not in NUMBERS_ONLY]
     for scheme in schemes:
         q = by_us(robot, scheme, RATE, SECONDS, "compiled")
         compiled = compiled_for(model, RATE, law, tuple(table), scheme)

@@ -5,6 +5,7 @@
    Generated above: fj_step, fj_signals, fj_control, fj_observe, fj_setup and the sizes FJ_*. */
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 typedef long long fj_int;
@@ -126,10 +127,9 @@ FJ_EXPORT void flexjoint_setup(const double *parameters, double *constants) {
   fj_setup(arg, res, 0, 0, 0);
 }
 
-/* Take the steps [begin, end). Returns -1, or the step after which the state was not finite. */
-FJ_EXPORT fj_int flexjoint_run(fj_run *run) {
-  const double *arg[4];
-  double *res[1], late[FJ_NU + 1];
+static fj_int fj_steps(fj_run *run, double *work) {
+  const double *arg[FJ_STEP_ARG];
+  double *res[FJ_STEP_RES], late[FJ_NU + 1];
   fj_int k, i, row;
   if (run->reading_delay && run->begin == 0)
     for (row = 0; row <= run->first; row++) fj_true(run, row, run->y + (row % run->window) * FJ_NY);
@@ -159,7 +159,7 @@ FJ_EXPORT fj_int flexjoint_run(fj_run *run) {
     arg[2] = run->constants;
     arg[3] = &run->t;
     res[0] = next;
-    fj_step(arg, res, 0, 0, 0);
+    fj_step(arg, res, 0, work, 0);
     run->t += run->h;
     if (run->reading_delay) fj_true(run, row + 1, run->y + ((row + 1) % run->window) * FJ_NY);
     if ((k + 1) % FJ_WATCH == 0 && !fj_finite(next)) return k;
@@ -167,4 +167,13 @@ FJ_EXPORT fj_int flexjoint_run(fj_run *run) {
   if (run->end > run->begin && !fj_finite(run->x + ((run->first + run->end) % run->window) * FJ_NX))
     return run->end - 1;
   return -1;
+}
+
+/* Take the steps [begin, end). Returns -1, or the step after which the state was not finite; -2 where memory
+   is short. */
+FJ_EXPORT fj_int flexjoint_run(fj_run *run) {
+  double *work = malloc(FJ_STEP_W * sizeof(double));
+  fj_int failed = work ? fj_steps(run, work) : -2;
+  free(work);
+  return failed;
 }

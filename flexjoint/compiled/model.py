@@ -26,6 +26,7 @@ from flexjoint.parameters import parameter_table
 from flexjoint.symbolic import SymbolicModel
 from flexjoint.trajectory import Past, Trajectory
 
+SHORT = -2  # what driver.c returns where memory is short
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
@@ -221,6 +222,16 @@ class CompiledModel:
         run.tick_count, run.tick_steps = self.ticks.ratio
         run.h = 1.0 / self.rate
         run.t_start = run.t = job.t
+        failed = self._take_steps(run, job)
+        final = x[(first + (job.steps if failed < 0 else failed + 1)) % window].copy()
+        if not whole:
+            return Rows(kept_x, kept_tau_m, final, sums, 0, failed)
+        if job.steps:
+            tau_m[-1] = tau_m[-2]
+        return Rows(x, tau_m, final, sums, first, failed)
+
+    def _take_steps(self, run: _Run, job: Job) -> int:
+        """All steps of a job, phase by phase; the step that failed, or -1."""
         failed, done = -1, 0
         segments = _segments(self._layout, job.t, job.steps, 1.0 / self.rate)
         for phase, (_, until) in zip(self.phases, segments, strict=True):
@@ -234,15 +245,12 @@ class CompiledModel:
                 run.reading_delay = _pointer(reading) if self._delayed else None
             run.begin, run.end = done, until
             failed = phase.library.flexjoint_run(ctypes.byref(run))
+            if failed == SHORT:
+                raise MemoryError("no memory for the work space of a step")
             if failed >= 0:
                 break
             done = until
-        final = x[(first + (job.steps if failed < 0 else failed + 1)) % window].copy()
-        if not whole:
-            return Rows(kept_x, kept_tau_m, final, sums, 0, failed)
-        if job.steps:
-            tau_m[-1] = tau_m[-2]
-        return Rows(x, tau_m, final, sums, first, failed)
+        return failed
 
     def trajectory(self, job: Job, rows: Rows) -> Trajectory:
         """The whole tape of a run; raises SimulationError where it left the finite numbers."""

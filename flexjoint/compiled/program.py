@@ -17,7 +17,12 @@ import numpy as np
 from flexjoint.c_code import c_source, unguarded
 from flexjoint.control import Law, Mixed
 from flexjoint.effect import SENSOR_CHANNELS, Signals
+from flexjoint.model import State
 from flexjoint.symbolic import DiscreteModel, SymbolicModel
+from flexjoint.symbolic_body import SymbolicBody
+
+LARGE = 30_000  # operations of a step: CENTAURO's by the default scheme has 16 000, by RK4 60 000
+_ABA = ("q", "v", "tau", "armature")
 
 
 @dataclass(frozen=True)
@@ -81,8 +86,9 @@ def write_program(
         }
         reference = {name: r[k * n : (k + 1) * n] for k, name in enumerate(references)}
         torque = ca.SX(ca.densify(free.torque(reference, reading)))
+    stepped, calls = _step(discrete, state)
     outputs = {
-        "fj_step": discrete.advanced(state, symbolic.u),
+        "fj_step": stepped,
         # at a tick the command to come is not known: a law sees springs without it
         "fj_signals": ca.substitute(
             _column(true[channel, i] for channel in reads for i in range(n)), symbolic.u, ca.SX.zeros(n)
@@ -92,7 +98,9 @@ def write_program(
     }
     # the tree of bodies is large: shared expressions are found once for all functions
     shared = ca.cse([ca.densify(value) for value in outputs.values()])
-    rest, symbols, constant = ca.extract_parametric(shared, symbolic.p, {"extract_trivial": True})
+    rest, symbols, constant = shared, [symbolic.p], [symbolic.p]
+    if not calls:  # else CasADi gives constants that hang on one another
+        rest, symbols, constant = ca.extract_parametric(shared, symbolic.p, {"extract_trivial": True})
     c = ca.vertcat(ca.SX(0, 1), *symbols)
     bodies = dict(zip(outputs, rest, strict=True))
     arguments = {
@@ -102,6 +110,7 @@ def write_program(
         "fj_control": [y, r, g, c, symbolic.t],
     }
     functions = [ca.Function(name, arguments[name], [bodies[name]]) for name in outputs]
+    step = functions[0]
     functions.append(ca.Function("fj_setup", [symbolic.p], [ca.vertcat(ca.SX(0, 1), *constant)]))
     sizes = {
         "FJ_NQ": model.nq,
@@ -114,6 +123,9 @@ def write_program(
         "FJ_NG": g.numel(),
         "FJ_NC": c.numel(),
         "FJ_NO": 7 * n,
+        "FJ_STEP_ARG": step.sz_arg(),
+        "FJ_STEP_RES": step.sz_res(),
+        "FJ_STEP_W": step.sz_w() + 1,
     }
     defines = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
     export = '#define FJ_EXPORT __attribute__((visibility("default")))\n'
@@ -134,6 +146,43 @@ def write_program(
         tuple(references),
         tuple(gains),
     )
+
+
+def _step(discrete: DiscreteModel, state: State) -> tuple[ca.SX, bool]:
+    """The state row after a step, and whether it holds calls.
+
+    Where a scheme evaluates a large tree of bodies several times, the C has its articulated-body algorithm
+    once, as a function: compilers take more than proportional time for one that is several times as long.
+    """
+    symbolic = discrete.symbolic
+    model, body = symbolic.model, symbolic.model.body
+    whole = ca.cse(discrete.advanced(state, symbolic.u))
+    if ca.n_nodes(whole) <= LARGE:
+        return whole, False
+    model.body = _CalledBody(body)
+    try:
+        return discrete.advanced(state, symbolic.u), True
+    finally:
+        model.body = body
+
+
+class _CalledBody:
+    """A SymbolicBody whose `aba` stays a call in expressions."""
+
+    def __init__(self, body: SymbolicBody) -> None:
+        self._body = body
+        symbols = ca.symvar(ca.vertcat(ca.vec(body.inertial), body.gravity))
+        self._own = ca.vertcat(ca.SX(0, 1), *symbols)  # parameters of effects on the body
+        q, v, tau, armature = (ca.SX.sym(name, body.nq if name == "q" else body.nv) for name in _ABA)
+        acc = ca.cse(body.aba(q, v, tau, armature))
+        inputs = [q, v, tau, armature, self._own]
+        self._aba = ca.Function("aba", inputs, [acc], {"never_inline": True})
+
+    def aba(self, q: ca.SX, v: ca.SX, tau: ca.SX, armature: ca.SX) -> ca.SX:
+        return ca.SX(self._aba(q, v, tau, armature, self._own))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._body, name)
 
 
 def free_law(law: Law) -> tuple[Any, dict[str, ca.SX]]:
