@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arms import PENDULUM, PLANAR, make, waves
 
-from flexjoint import batch, engine
+from flexjoint import batch, engine, terminal
 from flexjoint.batch import Batch, closed_loops, parameter_names, renumbered, rollouts
 from flexjoint.clockwork import true_signals
 from flexjoint.control import law_of
@@ -133,3 +133,14 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(SimulationError, match="references: expected"):
         closed_loops(MODEL, MODEL.rest(), LAW, {**REFERENCES, "theta_ref": np.zeros((3, 2))}, 1000.0)
     assert parameter_names(MODEL)[:2] == ("motor_coulomb_friction.hip.level", "drive.hip.stiffness")
+
+
+def test_a_long_batch_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[float] = []
+    monkeypatch.setattr(terminal.Progress, "__call__", lambda _, fraction, __: said.append(fraction))
+    for workers in (1, 2):
+        said.clear()
+        loops(engine="compiled", workers=workers)
+        np.testing.assert_allclose(said, [1 / 3, 2 / 3, 1.0])
+        loops(engine="compiled", workers=workers, progress=False)
+        assert len(said) == 3

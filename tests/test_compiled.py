@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from example_robots import centauro, ur5
 from flexjoint import engine, ops
 from flexjoint.clockwork import Past, Trajectory, physics_rate
 from flexjoint.compiled import CompiledModel, CompilerError, cache, compiled_for, compiler, program, shared
-from flexjoint.control import LAWS, gain_names, law_of
+from flexjoint.control import LAWS, MotorPD, gain_names, law_of
 from flexjoint.effect import Planned, plan
 from flexjoint.errors import ModelError, SimulationError, UnknownNameError
 from flexjoint.integrate import DEFAULT, NUMBERS_ONLY, SCHEMES
@@ -209,7 +209,7 @@ def test_a_tree_of_bodies_that_is_called_gives_the_same_motion(
         compiled = CompiledModel(model, 1000.0, None, (), scheme, 0.05)
         runs.append(compiled.run(engine.job_of(compiled, model, moving(model), None, torque)).states)
         programs.append(compiled.program.source)
-    # products with constants may be grouped otherwise: the last digit, times accelerations of some 100 rad/s^2
+    # products may be grouped otherwise: the last digit, times accelerations of some 100 rad/s^2
     np.testing.assert_allclose(runs[0], runs[1], rtol=0, atol=1e-11)
     assert len(programs[1]) < len(programs[0])
 
@@ -271,6 +271,41 @@ def test_without_a_compiler_the_pin_loop_runs_and_says_so_once(
         engine.rollout(model, moving(model), torque, 1000.0, engine="compiled")
     with pytest.raises(UnknownNameError, match="auto, compiled, pin"):
         engine.rollout(model, moving(model), torque, 1000.0, engine="c++")  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Bang(MotorPD):
+    """A law for numbers only: its `if` has no answer on expressions."""
+
+    def demand(self, reference: Mapping[str, Any], reading: Mapping[str, Any]) -> Any:
+        return self.limit if reading["theta"][0] < 0.3 else -self.limit
+
+
+@dataclass(frozen=True)
+class Rounded(MotorPD):
+    """A law for numbers only, whose float() of an expression is NaN without a word."""
+
+    def demand(self, reference: Mapping[str, Any], reading: Mapping[str, Any]) -> Any:
+        return self.kp * (0.3 - float(reading["theta"][0]))
+
+
+@pytest.mark.parametrize("kind", [Bang, Rounded])
+def test_what_takes_numbers_only_runs_by_the_pin_loop(
+    kind: type[MotorPD], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(engine, "LONG", 50)
+    monkeypatch.setattr(engine, "_said", set())
+    model = FlexibleJointModel(make(PENDULUM), [])
+    law = kind(np.array([9.0]), np.array([0.0]), np.array([5.0]))
+    table = references(model.robot, 0.1)
+    with caplog.at_level(logging.INFO, "flexjoint"):
+        chosen = engine.closed_loop(model, moving(model), law, table, 1000.0)
+        iterated = engine.closed_loop(model, moving(model), law, table, 1000.0, None, "implicit_midpoint")
+    assert len(caplog.records) == 2
+    assert all("numbers only" in r.message or "iterates" in r.message for r in caplog.records)
+    plain = engine.closed_loop(model, moving(model), law, table, 1000.0, engine="pin")
+    np.testing.assert_array_equal(chosen.q, plain.q)
+    np.testing.assert_allclose(iterated.q, plain.q, atol=1e-3)  # two schemes of order 2 at 1 ms
 
 
 def test_a_broken_compiler_is_passed_over(tmp_path: Path) -> None:

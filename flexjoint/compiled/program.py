@@ -17,6 +17,7 @@ import numpy as np
 from flexjoint.c_code import c_source, unguarded
 from flexjoint.control import Law, Mixed
 from flexjoint.effect import SENSOR_CHANNELS, Signals
+from flexjoint.errors import ModelError
 from flexjoint.model import State
 from flexjoint.symbolic import DiscreteModel, SymbolicModel
 from flexjoint.symbolic_body import SymbolicBody
@@ -59,8 +60,8 @@ def write_program(
 ) -> Program:
     """The program of a symbolic model at `rate` steps per second; without a law it takes given torques.
 
-    Raises what the symbolic model and the scheme raise; a scheme or law that cannot take CasADi
-    expressions raises whatever its code does on them.
+    Raises what the symbolic model and the scheme raise; ModelError, or whatever its code raises on
+    expressions, for a law that takes numbers only.
     """
     model, n = symbolic.model, len(symbolic.robot.joints)
     discrete = DiscreteModel(symbolic, rate, scheme, width)
@@ -127,11 +128,16 @@ def write_program(
         "FJ_STEP_RES": step.sz_res(),
         "FJ_STEP_W": step.sz_w() + 1,
     }
+    generated = c_source(functions)
+    if "=casadi_nan;" in generated:  # float() and math.sin() of an expression give that, and say nothing
+        raise ModelError(
+            "the control law, a commanded spring or an effect takes numbers only; write it with flexjoint.ops"
+        )
     defines = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
     export = '#define FJ_EXPORT __attribute__((visibility("default")))\n'
     driver = resources.files("flexjoint.compiled").joinpath("driver.c").read_text(encoding="utf-8")
     return Program(
-        "\n".join([unguarded(c_source(functions)), defines + export, driver]),
+        "\n".join([unguarded(generated), defines + export, driver]),
         model.nq,
         model.nv,
         discrete.plain,
