@@ -7,7 +7,7 @@ OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint docs pictures clean
+.PHONY: help demo test lint docs bench pictures clean
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
@@ -15,6 +15,7 @@ help:
 	@echo "make lint   style and types only"
 	@echo "make docs   regenerate docs/effects.md"
 	@echo "make pictures   draw the pictures of notebooks/effect_of_stiffness.ipynb anew"
+	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
 	@echo "make clean  remove .venv and everything that was built"
 
 demo: .venv/.demo
@@ -36,6 +37,9 @@ pictures: .venv/.test
 	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \
 	$(BIN)/python -m pytest tests/test_notebooks.py -k "runs_and_draws and effect_of_stiffness"
 
+bench: .venv/.bench
+	$(BIN)/python -m bench
+
 # installed once; again when pyproject.toml changes
 .venv/.demo: pyproject.toml | $(BIN)/python
 	@echo "installing into .venv, once; this may take some minutes"
@@ -46,6 +50,10 @@ pictures: .venv/.test
 	@echo "installing into .venv, once; this may take some minutes"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
 	touch $@ .venv/.demo
+
+.venv/.bench: pyproject.toml .venv/.test | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	touch $@
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "$(OLD)"; exit 1; }

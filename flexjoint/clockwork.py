@@ -57,6 +57,11 @@ class Ticks:
         ratio = Fraction(control).limit_denominator(FINEST) / Fraction(physics).limit_denominator(FINEST)
         self._ticks, self._steps = ratio.numerator, ratio.denominator
 
+    @property
+    def ratio(self) -> tuple[int, int]:
+        """f_c / f_s as ticks in so many steps."""
+        return self._ticks, self._steps
+
     def last(self, step: int) -> int:
         """The latest tick at or before a physics step."""
         return step * self._ticks // self._steps
@@ -131,7 +136,7 @@ def closed_loop(
     Raises and warns as `rollout`.
     """
     ticks = Ticks(rate, model.robot.rates.control)
-    count = _check_references(references, len(model.joints))
+    count = check_references(references, len(model.joints))
     runner = Runner(model, start, rate, ticks.steps(count), past, scheme, width)
     tables = {name: np.asarray(references[name], dtype=float) for name in REFERENCES}
 
@@ -144,7 +149,9 @@ def closed_loop(
     return runner.all(command)
 
 
-def _check_references(references: Mapping[str, np.ndarray], n: int) -> int:
+def check_references(references: Mapping[str, np.ndarray], n: int) -> int:
+    """The number of ticks T of references, each (T, n); raises SimulationError where one is missing or
+    does not fit."""
     missing = [name for name in REFERENCES if name not in references]
     if missing:
         raise SimulationError(f"references: expected {', '.join(REFERENCES)}; {missing[0]} is missing")
@@ -321,13 +328,16 @@ def _segments(
 
 
 def _diverged(run: Runner) -> SimulationError:
-    model = run.model
-    speed = np.abs(run.x.v)
+    return diverged(run.model, run.x.v, float(run.tape.time[run.row]), run.scheme, run.rate)
+
+
+def diverged(model: FlexibleJointModel, v: np.ndarray, t: float, scheme: str, rate: float) -> SimulationError:
+    """The error of a simulation that had these link velocities (nv,) at time t [s]."""
+    speed = np.abs(v)
     speed[~np.isfinite(speed)] = np.inf
     worst = int(np.argmax(speed))
     names = [joint.name for joint in model.joints if joint.idx_v == worst] or [f"v[{worst}]"]
     return SimulationError(
-        f"the simulation left the finite numbers at joint {names[0]}, t = {run.tape.time[run.row]:.4g} s"
-        f" ({run.scheme}, {run.rate:g} Hz): check the effects' parameters and the gains, or raise the physics"
-        " rate"
+        f"the simulation left the finite numbers at joint {names[0]}, t = {t:.4g} s ({scheme}, {rate:g} Hz):"
+        " check the effects' parameters and the gains, or raise the physics rate"
     )

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from flexjoint.clockwork import Trajectory, closed_loop, physics_rate, readings, rollout, true_signals
+from flexjoint.clockwork import Trajectory, physics_rate, readings, true_signals
 from flexjoint.control import law_of
+from flexjoint.engine import Engine, closed_loop, rollout
 from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import RecordingError, SimulationError
 from flexjoint.integrate import DEFAULT
@@ -42,6 +43,7 @@ def simulate(
     seed: int = 0,
     scheme: str = DEFAULT,
     width: float | None = None,
+    engine: Engine = "auto",
 ) -> Simulation:
     """Simulate the model from rest along a reference.
 
@@ -55,6 +57,7 @@ def simulate(
         noise: standard deviation by channel, drawn with `seed`; then readings are rounded to the joints'
             `resolution`.
         scheme, width: see `flexjoint.integrate`.
+        engine: auto, compiled or pin; see `flexjoint.engine`.
 
     Raises:
         RecordingError: the reference lacks what the drive needs.
@@ -68,12 +71,12 @@ def simulate(
     if controller:
         ticks = _ticks(reference, model.robot.rates.control)
         table = references_at(model, reference, ticks)
-        tape = closed_loop(model, start, law_of(model.robot), table, rate, None, scheme, width)
+        tape = closed_loop(model, start, law_of(model.robot), table, rate, None, scheme, width, engine)
     else:
         steps = round(reference.duration * rate) + 1
         edges = reference.time[0] + np.arange(steps + 1) / rate
         torque = torque_over(reference, names, edges, model.robot.rates.control)
-        tape = rollout(model, start, torque, rate, None, scheme, width)
+        tape = rollout(model, start, torque, rate, None, scheme, width, engine)
     return _result(model, reference, tape, controller, stride, noise or {}, seed)
 
 

@@ -159,3 +159,15 @@ def test_the_examples_of_the_simulation_page_run(example: str) -> None:
 def test_the_simulation_page_names_every_scheme_and_law() -> None:
     text = (DOCS / "simulation.md").read_text(encoding="utf-8")
     assert [name for name in (*SCHEMES, *LAWS) if f"`{name}`" not in text] == []
+
+
+# --- performance.md, symbolic.md --------------------------------------------------------------------------
+@pytest.mark.parametrize("page", ["performance.md", "symbolic.md"])
+def test_the_examples_of_a_page_run_one_after_the_other(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for example in blocks(DOCS / page, "python"):
+        exec(example, names)
+    assert len(names) > 5

@@ -1,0 +1,307 @@
+"""A model's clockwork compiled to C, and runs of it.
+
+The C program depends on the structure of a model (robot, effects, law, scheme, rate) and not on its
+numbers, so all models of one structure share it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+
+from flexjoint.clockwork import Ticks, _segments, diverged, longest_delay
+from flexjoint.compiled.cache import library
+from flexjoint.compiled.compiler import Compiler, CompilerError, compilers
+from flexjoint.compiled.program import Program, numbers_of, write_program
+from flexjoint.control import Law
+from flexjoint.integrate import DEFAULT
+from flexjoint.model import FlexibleJointModel, State
+from flexjoint.parameters import parameter_table
+from flexjoint.symbolic import SymbolicModel
+from flexjoint.trajectory import Past, Trajectory
+
+SHORT = -2  # what driver.c returns where memory is short
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+class _Run(ctypes.Structure):
+    """fj_run of driver.c, field by field."""
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_void_p)
+            for name in (
+                "x",
+                "tau_m",
+                "y",
+                "constants",
+                "torque",
+                "reference",
+                "gains",
+                "command_delay",
+                "reading_delay",
+                "kept_x",
+                "kept_tau_m",
+                "summary",
+            )
+        ),
+        *(
+            (name, ctypes.c_longlong)
+            for name in (
+                "window",
+                "first",
+                "begin",
+                "end",
+                "tick_count",
+                "tick_steps",
+                "stride",
+                "q_ref",
+                "fill",
+            )
+        ),
+        *((name, ctypes.c_double) for name in ("t_start", "t", "h")),
+    )
+
+
+@dataclass(frozen=True)
+class Phase:
+    """The program of one span of time between onsets of effects."""
+
+    program: Program
+    library: ctypes.CDLL
+    delays: ca.Function  # of the parameters: (n,) of commands, (readings,) of readings [s]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What one run needs, checked and in the layout of the program.
+
+    row (row,) state at the start and t its time [s]; values (parameters,); drive (steps, n) torques, or
+    (ticks, reference) references; gains (gain,); before: rows before the start, if they are known.
+    """
+
+    row: np.ndarray
+    t: float
+    values: np.ndarray
+    drive: np.ndarray
+    gains: np.ndarray
+    steps: int
+    before: tuple[np.ndarray, np.ndarray] | None = None  # (H, row) states and (H, n) commands
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a run leaves: states (R, row) and commands (R, n) of the kept rows (of the whole tape, where all
+    are kept, with the `first` ones before the start); final (row,); summary (4, observed): least, largest,
+    sum and sum of squares over the steps; failed: the step that left the finite numbers, or -1."""
+
+    states: np.ndarray
+    tau_m: np.ndarray
+    final: np.ndarray
+    summary: np.ndarray | None
+    first: int
+    failed: int
+
+
+class CompiledModel:
+    """The compiled clockwork of all models of one structure.
+
+    Args:
+        model: a numeric model; its structure counts, not its numbers.
+        rate: steps per second. law, references: of a closed loop, with the names that a row of references
+            holds; without a law runs take given torques.
+        scheme, width: see `flexjoint.integrate`. free: see `SymbolicModel`.
+        compiler: default: the first that works.
+
+    Raises:
+        CompilerError: no compiler, or it fails.
+        ModelError, SimulationError: the structure has no symbolic model (see `SymbolicModel`).
+    """
+
+    def __init__(
+        self,
+        model: FlexibleJointModel,
+        rate: float,
+        law: Law | None = None,
+        references: Sequence[str] = (),
+        scheme: str = DEFAULT,
+        width: float | None = None,
+        free: Collection[str] = ("drives",),
+        compiler: Compiler | None = None,
+    ) -> None:
+        self.rate, self.scheme, self.free = rate, scheme, tuple(free)
+        self.law_kind = type(law) if law is not None else None
+        self._layout = model  # for sizes, names and effects' onsets
+        self.ticks = Ticks(rate, rate if law is None else model.robot.rates.control)
+        longest = longest_delay(model)
+        self.history = math.ceil(longest * rate - 1e-9) + 1 if longest > 0.0 else 0
+        self._late = any(flow.max_command_delay > 0.0 for _, phase in model.phases for flow in phase.flows)
+        times = (-math.inf, *model.onsets) if model.onsets else (math.inf,)
+        phases: list[Phase] = []
+        for at in times:
+            symbolic = SymbolicModel(model.robot, model.effects, self.free, at, model.springs)
+            program = write_program(symbolic, rate, scheme, width, law, references)
+            self.compiler, loaded = _load(program, compiler)
+            phases.append(Phase(program, loaded, _delays(symbolic, program)))
+        self.phases = tuple(phases)
+        self.program = phases[0].program
+        self._delayed = any(
+            flow.max_reading_delay(channel) > 0.0
+            for _, phase in model.phases
+            for flow in phase.flows
+            for channel in self.program.reads
+        ) or (bool(self.program.reads) and model.robot.file.sensing_delay > 0.0)
+        self._sensing = model.robot.file.sensing_delay
+        self.parameters: tuple[str, ...] = symbolic.parameters
+
+    # --- jobs ------------------------------------------------------------------------------------
+    def values(self, model: FlexibleJointModel) -> np.ndarray:
+        """(parameters,) numbers of a model of this structure, in the order of `parameters`."""
+        table = parameter_table(model.joints, model.effects, model.robot.model, self.free)
+        return np.array(list(table.values()))
+
+    def gains(self, law: Law | None) -> np.ndarray:
+        """(gain,) numbers of a law of this kind."""
+        if law is None:
+            return np.zeros(0)
+        return np.concatenate([np.zeros(0), *numbers_of(law).values()])
+
+    def references(self, references: Mapping[str, np.ndarray]) -> np.ndarray:
+        """(ticks, reference) rows of references (ticks, n) by name."""
+        columns = [np.asarray(references[name], dtype=float) for name in self.program.references]
+        return np.hstack(columns)
+
+    def before(self, model: FlexibleJointModel, start: State, past: Past) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of what went before a start."""
+        rows = np.tile(row_of(model, start), (len(past.tau_m), 1))
+        nq, nv, nf = model.nq, model.nv, model.nf
+        rows[:, : nq + nv + 2 * nf] = np.hstack([past.q, past.v, past.theta, past.dtheta])
+        return rows, np.asarray(past.tau_m, dtype=float)
+
+    # --- runs ------------------------------------------------------------------------------------
+    def run(self, job: Job, stride: int = 0, summary: bool = False) -> Rows:
+        """Run a job; thread-safe, and other threads run meanwhile.
+
+        Args:
+            stride: 0 keeps the whole tape; k > 0 every k-th row from the start on; -1 none. Memory is flat
+                in the number of steps without the whole tape.
+        """
+        program, n = self.program, self.program.inputs
+        first = self.history if job.before is None else len(job.before[1])
+        whole = stride == 0
+        window = first + job.steps + 1 if whole else max(first, self.history) + 3
+        x, tau_m = np.empty((window, program.row)), np.zeros((window, n))
+        x[: first + 1] = job.row
+        if job.before is not None:
+            x[:first], tau_m[:first] = job.before
+        kept = len(range(0, job.steps, stride)) if stride > 0 else 0
+        kept_x, kept_tau_m = np.empty((kept, program.row)), np.empty((kept, n))
+        sums = np.zeros((4, program.observed)) if summary else None
+        if sums is not None:
+            sums[0], sums[1] = np.inf, -np.inf
+        run = _Run()
+        run.x, run.tau_m, run.kept_x, run.kept_tau_m = map(_pointer, (x, tau_m, kept_x, kept_tau_m))
+        run.kept_x = run.kept_x if kept else None
+        y = np.empty((window, max(program.readings, 1))) if self._delayed else np.empty(0)
+        run.y, run.summary = _pointer(y), None if sums is None else _pointer(sums)
+        drive, gains = np.ascontiguousarray(job.drive), np.ascontiguousarray(job.gains)
+        run.gains = _pointer(gains)
+        if self.law_kind is None:
+            run.torque = _pointer(drive)
+        else:
+            run.reference = _pointer(drive)
+        names = program.references
+        run.q_ref = names.index("q_ref") * n if "q_ref" in names else -1
+        run.window, run.first, run.stride, run.fill = window, first, max(stride, 1), job.before is None
+        run.tick_count, run.tick_steps = self.ticks.ratio
+        run.h = 1.0 / self.rate
+        run.t_start = run.t = job.t
+        failed = self._take_steps(run, job)
+        final = x[(first + (job.steps if failed < 0 else failed + 1)) % window].copy()
+        if not whole:
+            return Rows(kept_x, kept_tau_m, final, sums, 0, failed)
+        if job.steps:
+            tau_m[-1] = tau_m[-2]
+        return Rows(x, tau_m, final, sums, first, failed)
+
+    def _take_steps(self, run: _Run, job: Job) -> int:
+        """All steps of a job, phase by phase; the step that failed, or -1."""
+        failed, done = -1, 0
+        segments = _segments(self._layout, job.t, job.steps, 1.0 / self.rate)
+        for phase, (_, until) in zip(self.phases, segments, strict=True):
+            constants = np.empty(max(phase.program.constants, 1))
+            phase.library.flexjoint_setup(_doubles(job.values), _doubles(constants))
+            run.constants = _pointer(constants)
+            if self._late or self._delayed:
+                command, reading = (np.array(d).ravel() * self.rate for d in phase.delays(job.values))
+                reading = reading + self._sensing * self.rate
+                run.command_delay = _pointer(command) if self._late else None
+                run.reading_delay = _pointer(reading) if self._delayed else None
+            run.begin, run.end = done, until
+            failed = phase.library.flexjoint_run(ctypes.byref(run))
+            if failed == SHORT:
+                raise MemoryError("no memory for the work space of a step")
+            if failed >= 0:
+                break
+            done = until
+        return failed
+
+    def trajectory(self, job: Job, rows: Rows) -> Trajectory:
+        """The whole tape of a run; raises SimulationError where it left the finite numbers."""
+        model, x = self._layout, rows.states
+        ends = np.cumsum([0, model.nq, model.nv, model.nf, model.nf, model.nz])
+        q, v, theta, dtheta, z = (x[:, a:b] for a, b in pairwise(ends))
+        tau_rigid = x[:, ends[-1] + model.nv + model.nf :]
+        time = job.t + (np.arange(len(x)) - rows.first) / self.rate
+        tape = Trajectory(time, q, v, theta, dtheta, z, tau_rigid, rows.tau_m, rows.first)
+        if rows.failed >= 0:
+            taken = slice(rows.first, rows.first + rows.failed + 2)
+            finite = np.isfinite(v[taken]).all(axis=1) & np.isfinite(dtheta[taken]).all(axis=1)
+            row = rows.first + int(np.argmin(finite))
+            raise diverged(model, v[row], float(time[row]), self.scheme, self.rate)
+        return tape
+
+
+def row_of(model: FlexibleJointModel, state: State) -> np.ndarray:
+    """(row,) of a numeric state."""
+    return np.concatenate([model.pack(state), state.acc, state.ddtheta, state.tau_rigid])
+
+
+def _delays(symbolic: SymbolicModel, program: Program) -> ca.Function:
+    flows = symbolic.model.flows
+    command = ca.vertcat(*(flow.command_delay() for flow in flows))
+    reading = ca.vertcat(
+        ca.SX(0, 1), *(flow.reading_delay(channel) for channel in program.reads for flow in flows)
+    )
+    return ca.Function("delays", [symbolic.p], [ca.densify(ca.SX(command)), ca.densify(ca.SX(reading))])
+
+
+def _load(program: Program, compiler: Compiler | None) -> tuple[Compiler, ctypes.CDLL]:
+    """The program's library, by the first compiler that succeeds."""
+    tried = [compiler] if compiler is not None else list(compilers())
+    failure = CompilerError("no C compiler: install one, or pip install 'flexjoint[jit]'")
+    for candidate in tried:
+        try:
+            loaded = ctypes.CDLL(str(library(program.source, candidate)))
+        except CompilerError as error:
+            failure = error
+            continue
+        loaded.flexjoint_setup.argtypes, loaded.flexjoint_setup.restype = [_DOUBLES, _DOUBLES], None
+        loaded.flexjoint_run.argtypes = [ctypes.POINTER(_Run)]
+        loaded.flexjoint_run.restype = ctypes.c_longlong
+        return candidate, loaded
+    raise failure
+
+
+def _pointer(values: np.ndarray) -> int:
+    return values.ctypes.data
+
+
+def _doubles(values: np.ndarray) -> ctypes._Pointer[ctypes.c_double]:
+    return values.ctypes.data_as(_DOUBLES)

@@ -1,0 +1,153 @@
+"""Rollouts by the compiled clockwork or the pin loop: the same arguments, the same result to rounding.
+
+`auto` takes the compiled one for runs long enough to be worth a compilation, the pin loop for short ones
+and where there is no C compiler or no symbolic model; which, does not depend on what is in the cache, so a
+run repeats bit by bit.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from flexjoint import clockwork
+from flexjoint.clockwork import REFERENCES, Ticks, check_references
+from flexjoint.compiled import CompiledModel, CompilerError, Job, compiled_for
+from flexjoint.compiled.model import row_of
+from flexjoint.control import Law
+from flexjoint.errors import FlexJointError, SimulationError, unknown
+from flexjoint.integrate import DEFAULT
+from flexjoint.model import FlexibleJointModel, State
+from flexjoint.stability import check_stability
+from flexjoint.trajectory import Past, Trajectory
+
+Engine = Literal["auto", "compiled", "pin"]
+ENGINES = ("auto", "compiled", "pin")
+LONG = 20_000  # steps from which `auto` compiles: about the pin loop's time for a compilation
+
+log = logging.getLogger("flexjoint")
+_said: set[str] = set()
+
+
+def rollout(
+    model: FlexibleJointModel,
+    start: State,
+    torque: np.ndarray,
+    rate: float,
+    past: Past | None = None,
+    scheme: str = DEFAULT,
+    width: float | None = None,
+    engine: Engine = "auto",
+) -> Trajectory:
+    """`flexjoint.clockwork.rollout` by the engine: auto, compiled or pin.
+
+    Raises what that raises, UnknownNameError for another engine, and for `compiled` CompilerError where
+    there is no compiler.
+    """
+    torque = np.asarray(torque, dtype=float)
+    compiled = choose(model, len(torque), rate, None, (), scheme, width, engine)
+    if compiled is None:
+        return clockwork.rollout(model, start, torque, rate, past, scheme, width)
+    if torque.ndim != 2 or torque.shape[1] != len(model.joints):
+        raise SimulationError(
+            f"torque: expected (N, {len(model.joints)}), one column per joint, got {torque.shape}"
+        )
+    return _run(compiled, model, start, None, torque, past)
+
+
+def closed_loop(
+    model: FlexibleJointModel,
+    start: State,
+    law: Law,
+    references: Mapping[str, np.ndarray],
+    rate: float,
+    past: Past | None = None,
+    scheme: str = DEFAULT,
+    width: float | None = None,
+    engine: Engine = "auto",
+) -> Trajectory:
+    """`flexjoint.clockwork.closed_loop` by the engine: as `rollout`."""
+    ticks = check_references(references, len(model.joints))
+    steps = Ticks(rate, model.robot.rates.control).steps(ticks)
+    compiled = choose(model, steps, rate, law, REFERENCES, scheme, width, engine)
+    if compiled is None:
+        return clockwork.closed_loop(model, start, law, references, rate, past, scheme, width)
+    return _run(compiled, model, start, law, compiled.references(references), past)
+
+
+def choose(
+    model: FlexibleJointModel,
+    steps: int,
+    rate: float,
+    law: Law | None,
+    references: Sequence[str],
+    scheme: str,
+    width: float | None,
+    engine: Engine,
+) -> CompiledModel | None:
+    """The compiled model that `engine` asks for, or None for the pin loop. Says the choice of `auto` once,
+    at info level."""
+    if engine not in ENGINES:
+        raise unknown("engine", engine, ENGINES)
+    if engine == "compiled":
+        return compiled_for(model, rate, law, references, scheme, width)
+    if engine == "pin" or steps < LONG:
+        return None
+    try:
+        compiled = compiled_for(model, rate, law, references, scheme, width)
+    except SimulationError:
+        raise  # the pin loop would refuse it, too
+    except CompilerError as error:
+        _say(f"simulating by the pin loop: {error}")
+    except FlexJointError as error:
+        _say(f"simulating by the pin loop, for there is no symbolic model: {error}")
+    except (TypeError, RuntimeError, NotImplementedError) as error:
+        # CasADi raises these at a scheme or law that does not take its expressions
+        line = " ".join(str(error).split())[:200]
+        _say(f"simulating by the pin loop, for {scheme} or the control law takes numbers only: {line}")
+    else:
+        _say(f"simulating long runs as C, compiled by {compiled.compiler.name}")
+        return compiled
+    return None
+
+
+def job_of(
+    compiled: CompiledModel,
+    model: FlexibleJointModel,
+    start: State,
+    law: Law | None,
+    drive: np.ndarray,
+    past: Past | None = None,
+) -> Job:
+    """The job of a run; drive: torques (N, n) without a law, else `compiled.references(...)`."""
+    return Job(
+        row=row_of(model, start),
+        t=float(start.t),
+        values=compiled.values(model),
+        drive=drive,
+        gains=compiled.gains(law),
+        steps=compiled.ticks.steps(len(drive)),
+        before=None if past is None else compiled.before(model, start, past),
+    )
+
+
+def _run(
+    compiled: CompiledModel,
+    model: FlexibleJointModel,
+    start: State,
+    law: Law | None,
+    drive: np.ndarray,
+    past: Past | None,
+) -> Trajectory:
+    check_stability(model, start, 1.0 / compiled.rate, compiled.scheme)
+    job = job_of(compiled, model, start, law, drive, past)
+    return compiled.trajectory(job, compiled.run(job))
+
+
+def _say(message: str) -> None:
+    if message not in _said:
+        _said.add(message)
+        log.info(message)
