@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | demo | robots | effects`.
+"""The command line: `flexjoint diagnose | compare | simulate | view | demo | robots | effects`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. Heavy modules are imported by the commands that need them.
@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from flexjoint import cli_robot
+from flexjoint import cli_robot, cli_view
 from flexjoint.errors import FlexJointError
 
 UNUSABLE = 2
@@ -87,6 +87,8 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, metavar="REC", help="recording to write (.csv or .parquet)"
     )
     simulate.set_defaults(run=_simulate)
+
+    cli_view.add(commands)
 
     demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
     demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")

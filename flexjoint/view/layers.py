@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +27,7 @@ VISIBLE_TURN = 0.15  # rad to which the largest deflection is exaggerated by def
 LEAST_FORCE = 1.0  # N at which a contact counts as one
 NEAR_GROUND = 0.01  # m at which a contact frame counts as standing, where no forces are known
 MOST_FRAMES = 1500
+LEAST_TRIANGLES = 1000
 
 Colouring = Literal["deflection", "torque"]
 
@@ -51,8 +52,14 @@ class Looks:
 def build(motions: Sequence[Motion], looks: Looks) -> Scene:
     """The scene of motions side by side; raises FlexJointError on what cannot be shown."""
     motion.check(motions)
-    if looks.colour not in ("deflection", "torque"):
-        raise FlexJointError(f"colour: expected deflection or torque, got {looks.colour!r}")
+    for name, word, known in (
+        ("colour", looks.colour, get_args(Colouring)),
+        ("geometry", looks.geometry, get_args(Kind)),
+    ):
+        if word not in known:
+            raise FlexJointError(f"{name}: expected {' or '.join(known)}, got {word!r}")
+    if looks.triangles < LEAST_TRIANGLES:
+        raise FlexJointError(f"triangles: expected at least {LEAST_TRIANGLES}, got {looks.triangles}")
     for name, value in (("rate", looks.rate), ("exaggerate", looks.exaggerate)):
         if value is not None and not 0.0 < value < np.inf:
             raise FlexJointError(f"{name}: expected a number above 0, got {value}")
@@ -98,7 +105,7 @@ def build(motions: Sequence[Motion], looks: Looks) -> Scene:
         ground,
         legend if "springs" in present else None,
         tuple(notes),
-        (1.0, -1.25, 0.55) if len(motions) == 1 else (1.0, -0.12, 0.3),
+        (1.0, -1.25, 0.55) if len(motions) == 1 else (1.0, -0.45, 0.35),
     )
 
 
@@ -158,7 +165,7 @@ def _places(drawn: Sequence[_Drawn]) -> list[float]:
     """Where the robots stand along y, none in another's way."""
     places = [0.0]
     for before, after in itertools.pairwise(drawn):
-        gap = 0.12 * max(before.size, after.size)
+        gap = 0.4 * max(before.size, after.size)
         places.append(places[-1] + float(before.high[1] - after.low[1]) + gap)
     return places
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import html
+import importlib.util
 import os
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from flexjoint.errors import MissingExtraError
+from flexjoint.errors import FlexJointError
 from flexjoint.files import write_text
+from flexjoint.view import browser
 from flexjoint.view.scene import Scene, packed
 
 ASSETS = Path(__file__).parent / "assets"
@@ -41,6 +43,29 @@ class Page:
         write_text(out, self.html())
         return out
 
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+        times = self.scene.times
+        return (len(times) - 1) / float(times[-1] - times[0]) if len(times) > 1 else 1.0
+
+    def frames(self, every: int = 1) -> range:
+        """Indices of every so many frames."""
+        return range(0, len(self.scene.times), max(1, every))
+
+    def write_images(
+        self, folder: str | os.PathLike[str], size: tuple[int, int] = (1280, 800), every: int = 1
+    ) -> list[Path]:
+        """Every so many frames as PNG, by a headless Chromium; NoBrowserError where there is none."""
+        return browser.images(self.html(), self.frames(every), Path(folder), size)
+
+    def write_video(
+        self, path: str | os.PathLike[str], size: tuple[int, int] = (1280, 800), every: int = 1
+    ) -> Path:
+        """The frames as a video, by a headless Chromium and ffmpeg."""
+        rate = self.rate / max(1, every)
+        return browser.video(self.html(), self.frames(every), rate, Path(path), size)
+
     def _repr_html_(self) -> str:
         text = html.escape(self.html(), quote=True)
         return f'<iframe srcdoc="{text}" style="width: 100%; height: {HEIGHT}px; border: 0"></iframe>'
@@ -49,10 +74,9 @@ class Page:
 @lru_cache(maxsize=1)
 def _meshcat() -> str:
     """MeshCat's viewer as its package ships it, licences first."""
-    try:
-        import meshcat
-    except ImportError:
-        raise MissingExtraError("meshcat", "all") from None
-    folder = Path(meshcat.__file__).parent / "viewer"
+    found = importlib.util.find_spec("meshcat")  # its files are needed, not its server
+    if found is None or found.origin is None:
+        raise FlexJointError("meshcat is not installed; install it with: pip install meshcat")
+    folder = Path(found.origin).parent / "viewer"
     licence = (folder / "LICENSE").read_text(encoding="utf-8").replace("*/", "* /")
     return f"/*\n{licence}*/\n" + (folder / "dist" / "main.min.js").read_text(encoding="utf-8")

@@ -93,12 +93,16 @@
     const camera = viewer.camera, corners = scene.extent.map(turned);
     const away = turned(scene.direction).normalize();
     const right = new THREE.Vector3(0, 1, 0).cross(away).normalize(), up = away.clone().cross(right);
-    Object.assign(camera, { fov: 28, near: 0.02, far: 500, aspect: window.innerWidth / window.innerHeight });
-    const tall = Math.tan((camera.fov * Math.PI) / 360), w = window.innerWidth, h = window.innerHeight;
-    // a single robot stands beside the panel, several below it
-    const panel = scene.actors.length > 1 ? 0 : Math.min(byId("head").offsetWidth, 0.3 * w);
-    const wide = (tall * (w - panel)) / h;
-    camera.setViewOffset(w, h, -0.5 * panel, 0, w, h);
+    const w = window.innerWidth, h = window.innerHeight, several = scene.actors.length > 1;
+    // a long lens shows several robots from one side
+    Object.assign(camera, { fov: several ? 9 : 28, near: 0.02, far: 500, aspect: w / h });
+    // one robot stands beside the panel, several below it and their labels; all above the bar
+    const left = several ? 0 : Math.min(byId("head").offsetWidth, 0.3 * w);
+    const top = several ? Math.min(byId("head").offsetHeight + 30, 0.5 * h) : 0;
+    const bottom = byId("player").offsetHeight + 12;
+    const tall = Math.tan((camera.fov * Math.PI) / 360) * ((h - top - bottom) / h);
+    const wide = Math.tan((camera.fov * Math.PI) / 360) * ((w - left) / h);
+    camera.setViewOffset(w, h, -0.5 * left, 0.5 * (bottom - top), w, h);
     const target = new THREE.Vector3();
     let distance = 0;
     for (let round = 0; round < 4; round++) { // what perspective makes of the middle moves it a little
@@ -111,9 +115,9 @@
         target.addScaledVector(axis, middle * (distance || 1));
       }
       distance = 0.3;
-      for (const corner of corners) { // 0.74 and 0.86: room for the bar below, the labels above, the sides
+      for (const corner of corners) { // 0.86: room for what moves beyond the links, and some air
         const d = corner.clone().sub(target);
-        distance = Math.max(distance, Math.abs(d.dot(up)) / (0.74 * tall) + d.dot(away),
+        distance = Math.max(distance, Math.abs(d.dot(up)) / (0.86 * tall) + d.dot(away),
           Math.abs(d.dot(right)) / (0.86 * wide) + d.dot(away));
       }
     }
@@ -268,11 +272,14 @@
 
     labels() {
       const camera = this.viewer.camera;
-      for (const { label, at } of this.hung) {
-        const p = at.clone().project(camera);
-        label.style.left = `${(0.5 + 0.5 * p.x) * window.innerWidth}px`;
-        label.style.top = `${(0.5 - 0.5 * p.y) * window.innerHeight}px`;
-      }
+      const places = this.hung.map(({ at }) => at.clone().project(camera));
+      const across = places.map((p) => (0.5 + 0.5 * p.x) * window.innerWidth);
+      const gap = Math.min(...across.slice(1).map((x, k) => Math.abs(x - across[k])));
+      this.hung.forEach(({ label }, k) => {
+        label.style.maxWidth = `${Math.max(gap - 24, 40)}px`; // their paddings, and a little between them
+        label.style.left = `${across[k]}px`;
+        label.style.top = `${(0.5 - 0.5 * places[k].y) * window.innerHeight}px`;
+      });
     }
 
     tick() {
@@ -293,6 +300,7 @@
 
   function said(error) {
     byId("head").querySelector("h1").textContent = `The scene cannot be shown: ${error.message || error}`;
+    window.flexjointFailed = String(error.message || error);
     console.error(error);
   }
 
