@@ -40,7 +40,7 @@ def show(
     """Motions side by side, on one clock.
 
     Args:
-        rate: frames per second (fewer where there would be more than 1500).
+        rate: frames per second; fewer where they would be more than 1500 or the page heavier than 8 MB.
         colour: springs by `deflection` theta - q or `torque` tau_t.
         exaggerate: factor on the deflections that the motor side is drawn with; default: 1, 2 or 5 times a
             power of ten, so that one sees them. The page states it.

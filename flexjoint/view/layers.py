@@ -27,6 +27,7 @@ VISIBLE_TURN = 0.15  # rad to which the largest deflection is exaggerated by def
 LEAST_FORCE = 1.0  # N at which a contact counts as one
 NEAR_GROUND = 0.01  # m at which a contact frame counts as standing, where no forces are known
 MOST_FRAMES = 1500
+MOST_BYTES = 5_000_000  # of all frames: with meshes and MeshCat itself a page stays below 8 MB
 LEAST_TRIANGLES = 1000
 
 Colouring = Literal["deflection", "torque"]
@@ -110,11 +111,15 @@ def build(motions: Sequence[Motion], looks: Looks) -> Scene:
 
 
 def _times(motions: Sequence[Motion], rate: float) -> np.ndarray:
-    """Frames from the earliest start to the latest end; fewer per second where they would be too many."""
+    """Frames from the earliest start to the latest end; fewer per second where they would be too many, or too
+    heavy to send."""
     start = min(float(m.time[0]) for m in motions)
     length = max(float(m.time[-1]) for m in motions) - start
-    count = min(int(np.floor(length * rate + 1e-9)) + 1, MOST_FRAMES)
-    return start + (np.arange(count) / rate if count < MOST_FRAMES else np.linspace(0.0, length, count))
+    # 7 numbers of 4 bytes a joint, twice with a motor side
+    heavy = sum(28 * m.robot.model.njoints * (1 if m.theta is None else 2) for m in motions)
+    most = max(min(MOST_FRAMES, int(MOST_BYTES / heavy)), 2)
+    count = int(np.floor(length * rate + 1e-9)) + 1
+    return start + (np.arange(count) / rate if count <= most else np.linspace(0.0, length, most))
 
 
 def _exaggeration(motions: Sequence[Motion]) -> float:
@@ -345,7 +350,9 @@ def _axis(robot: Robot, joint: int) -> np.ndarray:
     """(3,) a joint's axis in its own frame; of a sliding one, its direction."""
     model, data = robot.model, robot.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    column = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, model.joints[joint].idx_v]
+    # of a model with one degree of freedom it is a vector
+    jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL).reshape(6, model.nv)
+    column = jacobian[:, model.joints[joint].idx_v]
     axis = column[3:] if np.linalg.norm(column[3:]) > 1e-9 else column[:3]
     return axis / np.linalg.norm(axis)
 

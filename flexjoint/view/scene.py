@@ -148,6 +148,7 @@ class _Store:
     def __init__(self) -> None:
         self.parts: list[bytes] = []
         self.length = 0
+        self._known: dict[tuple[tuple[int, ...], bytes], list[Any]] = {}
 
     def add(self, values: np.ndarray | Sequence[float], kind: str) -> list[Any]:
         array = np.ascontiguousarray(values, dtype=np.dtype(kind))
@@ -159,6 +160,12 @@ class _Store:
         return place
 
     def track(self, values: np.ndarray) -> list[Any]:
-        """One row where nothing moves."""
+        """One row where nothing moves; what was stored before is pointed at. Rounded to 16 bits of mantissa,
+        0.03 mm at 2 m, which halves what is left of it when packed."""
         rows = values[:1] if np.all(values == values[:1]) else values
-        return self.add(rows, "<f4")
+        short = np.ascontiguousarray(rows, dtype="<f4").view("<u4") + np.uint32(0x80)
+        rounded = (short & np.uint32(0xFFFFFF00)).view("<f4")
+        key = (rounded.shape, rounded.tobytes())
+        if key not in self._known:
+            self._known[key] = self.add(rounded, "<f4")
+        return self._known[key]
