@@ -139,6 +139,14 @@ def test_the_walker_of_the_page_is_a_robot(tmp_path: Path) -> None:
     assert not robot.load(tmp_path / "walker.yaml", sections=["body"]).floating
 
 
+def test_the_example_of_the_page_runs() -> None:
+    text = (ROOT / "docs" / "robots.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    exec(text.split("```python\n")[1].split("```")[0], names)
+    assert len(names["upper"].joints) == 15 and names["upper"].preset == "soft"
+    assert not names["standing"].floating and names["spider"].shape == (39,)
+
+
 def test_no_path_of_a_machine_stands_in_a_written_file(tmp_path: Path) -> None:
     robot.write(robot.load("panda"), tmp_path / "panda.yaml")
     written = yaml.safe_load((tmp_path / "panda.yaml").read_text())

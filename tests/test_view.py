@@ -261,6 +261,15 @@ def test_the_page_holds_all_it_needs() -> None:
     assert page == view.show(view.posed(robot.load("centauro"), "mammal")).html()  # same bytes
 
 
+def test_the_example_of_the_docs_runs() -> None:
+    text = (Path(__file__).parent.parent / "docs" / "viewing.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    exec(text.split("```python\n")[2].split("```")[0], names)
+    scene = names["page"].scene
+    assert {layer.name for layer in scene.layers} == {"robot", "forces", "mass", "support"}
+    assert scene.notes == ("longest arrow: 287 N",)
+
+
 def test_titles_are_escaped() -> None:
     arm = view.still(robot.load("rrbot"), label="</script><b>x")
     page = view.show(arm, title='<i>"&').html()

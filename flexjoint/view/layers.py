@@ -65,7 +65,7 @@ def build(motions: Sequence[Motion], looks: Looks) -> Scene:
         if value is not None and not 0.0 < value < np.inf:
             raise FlexJointError(f"{name}: expected a number above 0, got {value}")
     times = _times(motions, looks.rate)
-    motions = [item.at(times) for item in motions]
+    motions = [motion.with_torque(item.at(times)) for item in motions]
     factor = _exaggeration(motions) if looks.exaggerate is None else looks.exaggerate
     legend = _legend(motions, looks.colour)
     bodies = {id(m.robot): shapes(m.robot, looks.geometry, looks.triangles) for m in motions}
@@ -206,7 +206,7 @@ class _Drawn:
         if values is None or legend is None:
             return []
         scale = 1e3 if colour == "deflection" else 1.0
-        out, size = [], 0.028 * self.size
+        out, size = [], 0.023 * self.size
         for k, joint in enumerate(self.robot.joints):
             if joint.rigid:
                 continue

@@ -100,7 +100,7 @@ def still(
         raise FlexJointError(
             f"theta: expected ({len(robot.joints)},) motor positions, got {motors.shape[1]} of them"
         )
-    return _with_torque(Motion(robot, label or robot.name, np.zeros(1), q[None], motors))
+    return with_torque(Motion(robot, label or robot.name, np.zeros(1), q[None], motors))
 
 
 def from_recording(
@@ -133,7 +133,7 @@ def from_recording(
     links = q[:, [joint.idx_q for joint in joints]]
     theta = _columns(given, "theta", robot.joint_names, links)
     tau = _columns(given, "tau_t", robot.joint_names, np.full_like(links, np.nan))
-    return _with_torque(Motion(robot, label or recording.name, recording.time, q, theta, tau))
+    return with_torque(Motion(robot, label or recording.name, recording.time, q, theta, tau))
 
 
 def from_simulation(robot: Robot, run: Simulation, label: str | None = None) -> Motion:
@@ -179,7 +179,7 @@ def posed(robot: Robot, pose: str, label: str | None = None) -> Motion:
     return still(robot, on_ground(robot, robot.configuration(pose)), label=label or f"{robot.name}: {pose}")
 
 
-def _with_torque(motion: Motion) -> Motion:
+def with_torque(motion: Motion) -> Motion:
     """Spring torques by K (theta - q) where they were not measured; 0 of rigid joints."""
     if motion.theta is None:
         return motion
