@@ -64,9 +64,11 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.images is not None and arguments.images.exists() and not arguments.images.is_dir():
         raise FlexJointError(f"cannot write images into {arguments.images}: it is a file; give a folder")
     if arguments.images is not None or arguments.video is not None:
-        from flexjoint.view.browser import find
+        from flexjoint.view import browser
 
-        find()  # complains before the work, not after it
+        browser.find()  # complains before the work, not after it
+        if arguments.video is not None:
+            browser.find_encoder()
     page = _page(arguments, cli_robot.load_chosen(arguments, actuated=False))
     if arguments.html is not None:
         page.write_html(arguments.html)

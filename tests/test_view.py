@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from test_robot import file
+from test_robot_description import MJCF
 
 from flexjoint import recording, robot, view
 from flexjoint.cli import main
@@ -102,6 +103,15 @@ def test_a_robot_without_geometry_is_sticks(tmp_path: Path) -> None:
     assert lengths == [0.1, 0.3, 0.4]
 
 
+def test_an_mjcf_is_seen(tmp_path: Path) -> None:
+    (tmp_path / "arm2.xml").write_text(
+        MJCF.format(free="").replace("<inertial", '<geom type="capsule" size="0.05 0.1"/><inertial')
+    )
+    shapes = geometry.shapes(robot.load(file(tmp_path, urdf=None, mjcf="arm2.xml")))
+    assert {shape.joint for shape in shapes} == {1, 2}
+    assert np.ptp(shapes[0].mesh.vertices[:, 2]) == pytest.approx(0.3)  # 2 (0.1 + 0.05)
+
+
 def test_a_mesh_that_is_missing_is_named(tmp_path: Path) -> None:
     path = file(tmp_path)
     urdf = (tmp_path / "arm2.urdf").read_text()
@@ -175,11 +185,23 @@ def test_wrong_motions_are_refused() -> None:
         view.show([])
     with pytest.raises(FlexJointError, match=r"q: expected \(6,\) positions of ur5, got \(5,\)"):
         view.still(robot.load("ur5"), np.zeros(5))
-    with pytest.raises(FlexJointError, match="not all finite"):
-        view.show(view.Motion(arm.robot, "x", np.zeros(1), np.full((1, 6), np.nan)))
+    zeros, q = np.zeros(1), np.zeros((1, 6))
+    for wrong, said in (
+        (view.Motion(arm.robot, "x", zeros, q * np.nan), "x: q is not finite everywhere"),
+        (
+            view.Motion(arm.robot, "x", zeros, q, q[:, :5]),
+            r"x: expected theta of shape \(1, 6\), got \(1, 5\)",
+        ),
+        (view.Motion(arm.robot, "x", np.zeros(2), np.zeros((2, 6))), "x: its times do not increase strictly"),
+    ):
+        with pytest.raises(FlexJointError, match=said):
+            view.show(wrong)
     table = recording.make(np.linspace(0, 1, 60), {("q", "knee"): np.zeros(60)})
     with pytest.raises(FlexJointError, match="no q or theta of any joint of ur5; its joints are shoul"):
         view.from_recording(arm.robot, table)
+    there = recording.make(np.linspace(0, 1, 60), {("q", "elbow_joint"): np.zeros(60)})
+    with pytest.raises(FlexJointError, match=r"base: expected none, for ur5 is fixed, got shape .60, 7."):
+        view.from_recording(arm.robot, there, base=np.zeros((60, 7)))
 
 
 # --- scene ----------------------------------------------------------------------------------------------

@@ -67,6 +67,16 @@ def find() -> str:
     )
 
 
+def find_encoder() -> str:
+    """The path of ffmpeg; raises FlexJointError where it is not installed."""
+    path = shutil.which("ffmpeg")
+    if path is None:
+        raise FlexJointError(
+            "ffmpeg is not installed, which makes the video; install it, or write the images alone"
+        )
+    return path
+
+
 class Browser:
     """A headless browser with one page open. Use as a context manager.
 
@@ -257,11 +267,7 @@ def images(html: str, frames: Sequence[int], folder: Path, size: tuple[int, int]
 
 def video(html: str, frames: Sequence[int], rate: float, path: Path, size: tuple[int, int]) -> Path:
     """The frames of a page as a video by ffmpeg; raises FlexJointError where there is no ffmpeg."""
-    encoder = shutil.which("ffmpeg")
-    if encoder is None:
-        raise FlexJointError(
-            "ffmpeg is not installed, which makes the video; install it, or write the images with --images"
-        )
+    encoder = find_encoder()
     even = (size[0] // 2 * 2, size[1] // 2 * 2)  # yuv420p halves the colours
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="flexjoint-", ignore_cleanup_errors=True) as folder:

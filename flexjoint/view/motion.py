@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from flexjoint.errors import FlexJointError, RobotError
+from flexjoint.errors import FlexJointError
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
@@ -127,6 +127,9 @@ def from_recording(
         if ("q", joint.name) not in given and ("theta", joint.name) in given:
             q[:, joint.idx_q] = given["theta", joint.name]
     if base is not None:
+        if not robot.floating or np.shape(base) != (len(q), 7):
+            expected = f"({len(q)}, 7)" if robot.floating else f"none, for {robot.name} is fixed"
+            raise FlexJointError(f"base: expected {expected}, got shape {np.shape(base)}")
         q[:, :7] = base
     elif robot.floating:
         q[:, :7] = on_ground(robot, q[0])[:7]
@@ -209,7 +212,19 @@ def check(motions: Sequence[Motion]) -> None:
     if not motions:
         raise FlexJointError("nothing to show: give at least one motion")
     for motion in motions:
-        if not np.all(np.isfinite(motion.q)):
-            raise FlexJointError(f"{motion.label}: its positions are not all finite; it cannot be shown")
-        if len(motion.robot.model.names) < 1 or motion.q.shape != (len(motion.time), motion.robot.model.nq):
-            raise RobotError(f"{motion.label}: expected q of shape (N, {motion.robot.model.nq})")
+        rows, joints = len(motion.time), len(motion.robot.joints)
+        for name, values, width in (
+            ("q", motion.q, motion.robot.model.nq),
+            ("theta", motion.theta, joints),
+            ("tau_t", motion.tau_t, joints),
+        ):
+            if values is None:
+                continue
+            if np.shape(values) != (rows, width):
+                raise FlexJointError(
+                    f"{motion.label}: expected {name} of shape ({rows}, {width}), got {np.shape(values)}"
+                )
+            if not np.all(np.isfinite(values)):
+                raise FlexJointError(f"{motion.label}: {name} is not finite everywhere; it cannot be shown")
+        if rows > 1 and not np.all(np.diff(motion.time) > 0.0):
+            raise FlexJointError(f"{motion.label}: its times do not increase strictly; sort them")
