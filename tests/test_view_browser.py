@@ -20,7 +20,7 @@ from flexjoint.view.browser import Browser, opened
 from flexjoint.view.motion import contact_points
 
 pytestmark = pytest.mark.xdist_group("browser")
-SIZE = (640, 420)
+SIZE = (480, 320)  # software draws it, on two cores
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -41,7 +41,7 @@ def arm_motion(turn: float = 1.2) -> view.Motion:
 
 @pytest.fixture(scope="module")
 def arm() -> Iterator[Browser]:
-    with opened(view.show(arm_motion()).html(), SIZE) as browser:
+    with opened(view.show(arm_motion(), triangles=20_000).html(), SIZE) as browser:
         yield browser
 
 
@@ -59,13 +59,11 @@ def standing() -> Iterator[Browser]:
 
 def shown(browser: Browser, *layers: str) -> np.ndarray:
     """The picture with these layers alone, without what is written over it."""
-    known = browser.evaluate("Object.keys(flexjoint.layers)")
-    for layer in known:
-        browser.evaluate(f"flexjoint.toggle('{layer}', {'true' if layer in layers else 'false'})")
-    browser.evaluate(
-        "for (const id of ['head', 'player', 'labels']) document.getElementById(id).style.opacity = 0"
+    browser.evaluate(  # at once, so that it is drawn once
+        "for (const id of ['head', 'player', 'labels']) document.getElementById(id).style.opacity = 0;"
+        f"for (const l of Object.keys(flexjoint.layers)) flexjoint.toggle(l, {list(layers)}.includes(l));"
+        "flexjoint.draw()"
     )
-    browser.evaluate("flexjoint.draw()")
     return pixels(browser.picture())
 
 
@@ -92,11 +90,11 @@ def test_centauro_is_in_the_picture(standing: Browser) -> None:
 
 
 def test_forces_centre_of_mass_and_support_are_seen(standing: Browser) -> None:
-    assert near(shown(standing, "forces"), (217, 26, 31)) > 300
-    assert near(shown(standing, "mass"), (26, 89, 217)) > 60
+    assert near(shown(standing, "forces"), (217, 26, 31)) > 150
+    assert near(shown(standing, "mass"), (26, 89, 217)) > 30
     edges = "flexjoint.nodes.filter(n => n.layer === 'support' && n.group.scale.z > 0.01).length"
     assert standing.evaluate(edges) == 3  # one wheel carries nothing
-    assert near(shown(standing, "support"), (26, 158, 89)) > 150
+    assert near(shown(standing, "support"), (26, 158, 89)) > 80
     assert standing.evaluate("document.getElementById('notes').textContent") == "longest arrow: 380 N"
 
 
@@ -115,7 +113,7 @@ def test_the_animation_moves_the_robot_and_nothing_else(arm: Browser) -> None:
     rows, columns = np.nonzero(body[0] & body[25])
     foot = rows.max()
     still = (rows > foot - 20) & ~moved[rows, columns]
-    assert np.count_nonzero(still) > 100
+    assert np.count_nonzero(still) > 60
     assert arm.evaluate("flexjoint.viewer.scene_tree !== undefined")  # it is MeshCat's viewer
 
 
@@ -159,26 +157,44 @@ def test_springs_have_the_colour_of_their_deflection(arm: Browser) -> None:
     # the only deflected one has the legend's end, the others its middle (player.js: HOT, MIDDLE)
     np.testing.assert_allclose(elbow.pop("elbow_joint"), (0.82, 0.1, 0.13), atol=1e-3)
     np.testing.assert_allclose(list(elbow.values()), np.tile((0.93, 0.93, 0.9), (5, 1)), atol=1e-3)
-    assert near(shown(arm, "springs"), (209, 26, 33)) > 30
+    assert near(shown(arm, "springs"), (209, 26, 33)) > 15
     ends = "[...document.querySelectorAll('#legend .ends span')].map(s => s.textContent)"
     assert arm.evaluate(ends) == ["-20", "spring deflection [mrad]", "+20"]
+
+
+def test_the_spring_under_the_mouse_tells_its_joint(arm: Browser) -> None:
+    arm.evaluate("flexjoint.pause(); flexjoint.show(3); flexjoint.toggle('springs', true); flexjoint.draw()")
+    # a vertex of the elbow's coil, where the screen has it
+    x, y = arm.evaluate(
+        "(() => { const n = flexjoint.nodes.find(n => n.name === 'spring/elbow_joint');"
+        " const m = n.group.children[0]; m.updateWorldMatrix(true, false);"
+        " const v = new MeshCat.THREE.Vector3().fromBufferAttribute(m.geometry.attributes.position, 210);"
+        " v.applyMatrix4(m.matrixWorld).project(flexjoint.viewer.camera);"
+        " return [(0.5 + 0.5 * v.x) * innerWidth, (0.5 - 0.5 * v.y) * innerHeight]; })()"
+    )
+    tip = "document.getElementById('tip')"
+    arm.evaluate(f"flexjoint.point({x}, {y}, false)")
+    assert arm.evaluate(f"{tip}.textContent") == "elbow_joint: 20.0 mrad"
+    assert arm.evaluate(f"{tip}.style.display") == "block"
+    arm.evaluate("flexjoint.point(2, 2, false)")
+    assert arm.evaluate(f"{tip}.style.display") == "none"
 
 
 def test_robots_side_by_side_have_their_labels_above_them() -> None:
     measured = arm_motion()
     name = "nominal_with_a_name_that_is_very_long_and_has_no_spaces_in_it_anywhere"
     motions = [replace(measured, label=label) for label in ("measured", name, "extended")]
-    with opened(view.show(motions, triangles=8000).html(), (1000, 600)) as browser:
+    with opened(view.show(motions, triangles=4000).html(), (800, 480)) as browser:
         boxes = browser.evaluate(
             "[...document.querySelectorAll('#labels div')].map(d => { const b = d.getBoundingClientRect();"
             " return [d.textContent, b.left, b.right, b.top, b.bottom]; })"
         )
         assert [box[0] for box in boxes] == ["measured", name, "extended"]
         ends = [x for _, left, right, _, _ in boxes for x in (left, right)]
-        assert ends == sorted(ends) and ends[0] >= 0 and ends[-1] <= 1000
+        assert ends == sorted(ends) and ends[0] >= 0 and ends[-1] <= 800
         body = changed(shown(browser), shown(browser, "robot"))
         pieces, count = ndimage.label(body, np.ones((3, 3)))
-        robots = [k for k in range(1, count + 1) if np.count_nonzero(pieces == k) > 2000]
+        robots = [k for k in range(1, count + 1) if np.count_nonzero(pieces == k) > 800]
         assert len(robots) == 3  # apart from each other
         found = sorted((np.nonzero(pieces == k) for k in robots), key=lambda where: where[1].mean())
         for (rows, columns), (_, left, right, _, bottom) in zip(found, boxes, strict=True):
@@ -209,7 +225,7 @@ def test_a_broken_page_says_so() -> None:
 # --- pictures and video -----------------------------------------------------------------------------------
 def test_the_command_writes_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "pictures"
-    assert main(["view", "--robot", "talos_arm", "--images", str(folder), "--size", "320x240"]) == 0
+    assert main(["view", "--robot", "rrbot", "--images", str(folder), "--size", "320x240"]) == 0
     (image,) = folder.iterdir()
     assert image.name == "frame_00000.png" and pixels(image.read_bytes()).shape == (240, 320, 3)
     assert "wrote 1 images" in capsys.readouterr().out

@@ -143,6 +143,8 @@
       this.show(0);
       this.viewer.set_3d_pane_size();
       aim(this.viewer, this.scene);
+      const hover = (event) => this.point(event.clientX, event.clientY, event.buttons > 0);
+      byId("pane").addEventListener("pointermove", hover);
       let touched = false;
       this.viewer.controls.addEventListener("start", () => { touched = true; });
       window.addEventListener("resize", () => { if (!touched) aim(this.viewer, this.scene); });
@@ -163,7 +165,7 @@
         }
         const path = ["flexjoint", this.scene.actors[node.actor].label.replace(/\//g, " ") + " " + node.actor, node.layer, node.name];
         this.viewer.set_object(path, group);
-        const own = { group, layer: node.layer, place: this.scene.actors[node.actor].place,
+        const own = { group, layer: node.layer, name: node.name, place: this.scene.actors[node.actor].place,
           poses: this.track(node.poses), scales: this.track(node.scales), values: this.track(node.values) };
         (this.layers[node.layer] = this.layers[node.layer] || []).push(group);
         return own;
@@ -224,6 +226,21 @@
         ends.append(span);
       }
       byId("legend").append(canvas, ends);
+    }
+
+    // Which joint is that? The name and value of the spring under the mouse.
+    point(x, y, held) {
+      const tip = byId("tip"), ray = new THREE.Raycaster(), w = window.innerWidth, h = window.innerHeight;
+      ray.setFromCamera(new THREE.Vector2((2 * x) / w - 1, 1 - (2 * y) / h), this.viewer.camera);
+      const springs = this.nodes.filter((node) => node.values && node.group.visible);
+      const [hit] = held ? [] : ray.intersectObjects(springs.map((node) => node.group), true);
+      tip.style.display = hit ? "block" : "none";
+      if (!hit) return;
+      const { values, name } = springs.find((node) => node.group === hit.object.parent);
+      const value = values.data[values.rows > 1 ? this.frame : 0];
+      tip.textContent = `${name.replace("spring/", "")}: ${value.toPrecision(3)} ${this.scene.legend.unit}`;
+      tip.style.left = `${Math.max(4, Math.min(x + 14, w - tip.offsetWidth - 4))}px`;
+      tip.style.top = `${Math.max(4, Math.min(y + 14, h - tip.offsetHeight - 4))}px`;
     }
 
     toggle(layer, visible) {
