@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | theta-d | demo | robots | effects | paper`.
+"""The command line: `flexjoint diagnose | compare | simulate | theta-d | view | paper | demo | robots | ...`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. Heavy modules are imported by the commands that need them.
@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
-from flexjoint import cli_paper
+from flexjoint import cli_paper, cli_robot, cli_view
 from flexjoint.errors import FlexJointError
 
 UNUSABLE = 2
@@ -77,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
 
     diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
     diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="CSV or Parquet table")
-    _robot_argument(diagnose)
+    cli_robot.add_arguments(diagnose)
     diagnose.add_argument("--json", type=Path, metavar="OUT.json", help="write the diagnosis as JSON")
     diagnose.add_argument("--report", type=Path, metavar="OUT.html", help="write a page to read")
     diagnose.add_argument("--model", type=Path, metavar="OUT.yaml", help="write the extended robot")
@@ -86,14 +86,14 @@ def _parser() -> argparse.ArgumentParser:
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
     compare.add_argument("recording", type=Path, metavar="REC", help="CSV or Parquet table")
-    _robot_argument(compare)
+    cli_robot.add_arguments(compare)
     compare.add_argument("--horizon", type=float, default=0.5, help="window length [s], default 0.5")
     compare.add_argument("--closed-loop", action="store_true", help="drive by references, not by torques")
     compare.add_argument("--json", type=Path, metavar="OUT.json", help="write the errors as JSON")
     compare.set_defaults(run=_compare)
 
     simulate = commands.add_parser("simulate", help="simulate a robot along a reference")
-    _robot_argument(simulate)
+    cli_robot.add_arguments(simulate)
     simulate.add_argument(
         "--reference", type=Path, required=True, metavar="REC", help="table with q_ref, or tau_m"
     )
@@ -108,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
 
     theta_d = commands.add_parser("theta-d", help="motor positions and torques that hold given poses")
     theta_d.add_argument("poses", type=Path, metavar="POSES", help="CSV or Parquet table with q.<joint>")
-    _robot_argument(theta_d)
+    cli_robot.add_arguments(theta_d)
     theta_d.add_argument("--out", type=Path, required=True, metavar="OUT", help=".csv or .parquet to write")
     theta_d.add_argument(
         "--contact",
@@ -121,6 +121,8 @@ def _parser() -> argparse.ArgumentParser:
     theta_d.add_argument("--max-deflection", type=float, metavar="RAD", help="largest theta - q to accept")
     theta_d.add_argument("--details", action="store_true", help="write g.<joint> and phi.<joint>, too")
     theta_d.set_defaults(run=_theta_d)
+
+    cli_view.add(commands)
 
     demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
     demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
@@ -137,12 +139,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _robot_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--robot", required=True, metavar="R.yaml", help="robot YAML, or the name of a shipped robot"
-    )
-
-
 def _version() -> str:
     from importlib.metadata import PackageNotFoundError, version
 
@@ -156,7 +152,7 @@ def _version() -> str:
 def _diagnose(arguments: argparse.Namespace) -> None:
     from rich.console import Console
 
-    from flexjoint import cli_outputs, recording, robot
+    from flexjoint import cli_outputs, recording
     from flexjoint.checks import check
     from flexjoint.diagnose import diagnose, extended_model
     from flexjoint.diagnosis import to_json
@@ -164,7 +160,7 @@ def _diagnose(arguments: argparse.Namespace) -> None:
 
     asked = cli_outputs.Asked(arguments.json, arguments.report, arguments.model)
     asked.check([Path(arguments.robot), *arguments.recordings])
-    nominal = robot.load(arguments.robot)
+    nominal = cli_robot.load_chosen(arguments)
     recordings = [recording.read(path) for path in arguments.recordings]
     for table in recordings:
         check(nominal, table)
@@ -185,13 +181,13 @@ def _diagnose(arguments: argparse.Namespace) -> None:
 def _compare(arguments: argparse.Namespace) -> None:
     from rich.console import Console
 
-    from flexjoint import cli_outputs, recording, robot
+    from flexjoint import cli_outputs, recording
     from flexjoint.checks import check
     from flexjoint.compare import compare
     from flexjoint.model import FlexibleJointModel
 
     cli_outputs.Asked(json=arguments.json).check()
-    loaded = robot.load(arguments.robot)
+    loaded = cli_robot.load_chosen(arguments)
     table = recording.read(arguments.recording)
     check(loaded, table)
     result = compare(table, FlexibleJointModel(loaded), arguments.horizon, arguments.closed_loop)
@@ -201,14 +197,14 @@ def _compare(arguments: argparse.Namespace) -> None:
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
-    from flexjoint import cli_outputs, recording, robot
+    from flexjoint import cli_outputs, recording
     from flexjoint.checks import check_joints
     from flexjoint.integrate import DEFAULT
     from flexjoint.model import FlexibleJointModel
     from flexjoint.simulate import simulate
 
     cli_outputs.check_place(arguments.out, (".csv", ".parquet"), [arguments.reference])
-    loaded = robot.load(arguments.robot)
+    loaded = cli_robot.load_chosen(arguments)
     reference = recording.read(arguments.reference)
     check_joints(loaded, reference)
     scheme = arguments.scheme or DEFAULT
@@ -240,13 +236,7 @@ def _demo(arguments: argparse.Namespace) -> None:
 
 
 def _robots(arguments: argparse.Namespace) -> None:
-    from flexjoint import robot
-
-    for name, path in robot.shipped_robots().items():
-        loaded = robot.load(path)
-        recordings = sorted((path.parent / "recordings").glob("*.parquet"))
-        held = f"; recordings {', '.join(r.stem for r in recordings)}" if recordings else ""
-        print(f"{name}: {', '.join(loaded.joint_names)}{held}\n    {path}")
+    cli_robot.show_robots()
 
 
 def _effects(arguments: argparse.Namespace) -> None:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-from flexjoint import robot
+from flexjoint import cli_robot
 from flexjoint.cli_outputs import check_place
 from flexjoint.contact_forces import Contact
 from flexjoint.equilibrium import Equilibrium, equilibrium
@@ -39,7 +39,7 @@ class Poses:
 def run(arguments: argparse.Namespace) -> None:
     """The command; raises FlexJointError on unusable input, before anything is written."""
     check_place(arguments.out, SUFFIXES, [arguments.poses])
-    loaded = robot.load(arguments.robot)
+    loaded = cli_robot.load_chosen(arguments)
     if loaded.floating and not arguments.contact:
         raise RobotError(f"{loaded.name} has a floating base: name what it stands on, e.g. --contact FRAME")
     poses = read_poses(arguments.poses, loaded)

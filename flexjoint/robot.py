@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 import os
-import sysconfig
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import yaml
 
+from flexjoint import robot_description, robot_sections
 from flexjoint import robot_schema as schema
 from flexjoint.effect import Drive, Planned, plan
 from flexjoint.errors import FlexJointError, RobotError, unknown
@@ -48,7 +47,8 @@ class Robot:
     """A nominal model: rigid body (pin.Model), actuated joints, effects it claims, and tolerances.
 
     `model` has the locked joints reduced (mass kept), continuous joints as unwrapped revolute ones, and
-    gravity set. It is shared: never write on it.
+    gravity set. It is shared: never write on it. `urdf` is the file of the description (URDF, MJCF or SDF),
+    `sections` those that are there, `disabled` those that were asked for and hang on one that is not.
     """
 
     name: str
@@ -60,6 +60,10 @@ class Robot:
     effects: tuple[Planned, ...]
     file: schema.RobotFile
     urdf: Path
+    description: robot_description.Description | None = None
+    sections: tuple[str, ...] = ()
+    disabled: tuple[str, ...] = ()
+    preset: str | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -80,6 +84,29 @@ class Robot:
                 return joint
         raise unknown("joint", name, self.joint_names)
 
+    @property
+    def mass(self) -> float:
+        """Of all bodies, what is fixed to the base included [kg] (pin.computeTotalMass leaves that out)."""
+        return float(sum(inertia.mass for inertia in self.model.inertias))
+
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """Names that `configuration` takes."""
+        return tuple(dict.fromkeys(["initial", *self.file.poses]))
+
+    def configuration(self, pose: str = "initial") -> np.ndarray:
+        """(nq,) a named pose of the robot file, in Pinocchio's order; a floating base is at the origin.
+
+        A joint that the pose does not name is where `initial` puts it, or at 0. Raises UnknownNameError.
+        """
+        if pose not in self.poses:
+            raise unknown("pose", pose, self.poses)
+        q = pin.neutral(self.model)
+        for name, value in {**self.file.initial, **self.file.poses.get(pose, {})}.items():
+            if self.model.existJointName(name):
+                q[self.model.joints[self.model.getJointId(name)].idx_q] = value
+        return q
+
     def extended(self, effects: Iterable[Planned]) -> Robot:
         """The robot with these effects; one that it already lists (same effect, same joint) is replaced."""
         merged = {planned.key: planned for planned in self.effects}
@@ -98,13 +125,20 @@ def shipped_robots() -> dict[str, Path]:
     return {path.stem: path for path in sorted(robots_folder().glob("*/*.yaml"))}
 
 
-def example_robot_data() -> Path:
-    """The folder that package:// of example-robot-data resolves against."""
-    return Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix" / "share"
-
-
-def load(source: str | os.PathLike[str]) -> Robot:
+def load(
+    source: str | os.PathLike[str],
+    sections: Sequence[str] | None = None,
+    preset: str | None = None,
+    grounded: bool = False,
+) -> Robot:
     """A robot from a YAML file or the name of a shipped robot.
+
+    Args:
+        source: path of a robot file, or a name of `shipped_robots`.
+        sections: what of the robot is there, by the names in its file; default: what the file spawns, or all.
+            What hangs on a section that is left out is left out too (`Robot.disabled`).
+        preset: a set of numbers of the file; default: those under `joints`.
+        grounded: fix a floating base.
 
     Raises RobotError or UnknownNameError with what was expected, what came and what to do.
     """
@@ -126,45 +160,77 @@ def load(source: str | os.PathLike[str]) -> Robot:
         # PyYAML lets through what its constructors of numbers and dates stumble over
         line = " ".join(str(error).split())
         raise RobotError(f"{path} is not valid YAML: {line}") from None
-    return build(schema.parse(raw, str(path)), path)
+    file = schema.parse(raw, str(path))
+    if preset is not None:
+        file = schema.parse(robot_sections.with_preset(raw, preset, str(path)), str(path))
+    chosen: dict[str, Any] = {}
+    if grounded:
+        chosen["base"] = "fixed"
+    if sections is not None:
+        chosen["spawn"] = tuple(sections)
+    return replace(build(file.model_copy(update=chosen), path), preset=preset)
 
 
 def build(file: schema.RobotFile, path: Path) -> Robot:
     """A robot from its checked file; `path` is what relative names resolve against."""
     where = str(path)
-    urdf = _find_urdf(file, path)
-    model = _load_model(file, urdf)
+    description = robot_description.read(file, path)
+    whole = robot_description.model(description, file.base == "floating")
+    known = [name for name in whole.names if name not in ("universe", "root_joint")]
+    choice = robot_sections.choose(file, description.text, file.spawn, where)
+    if file.sections:
+        description = replace(description, text=choice.urdf)
+        file = file.model_copy(update={"base": "floating" if choice.floating else "fixed"})
+        whole = robot_description.model(description, choice.floating)
+    model = _lock(whole, file, known, path)
     joints = []
     for name, entry in file.joints.items():
         if name in file.lock:
             raise RobotError(f"{where}: joint {name!r} is both actuated and locked; keep it in one list")
-        if not model.existJointName(name):
-            valid = [n for n in model.names if n not in ("universe", "root_joint")]
-            raise RobotError(f"{where}: {unknown('joint', name, valid)}")
-        pin_joint = model.joints[model.getJointId(name)]
-        if pin_joint.nq != 1 or pin_joint.nv != 1:
-            raise RobotError(
-                f"{where}: joint {name!r} has {pin_joint.nv} degrees of freedom; only single-axis joints can"
-                " be actuated"
-            )
-        joints.append(
-            Joint(
-                name,
-                Drive(entry.stiffness, entry.damping, entry.motor_inertia, entry.motor_damping),
-                entry.torque_limit,
-                entry.kp,
-                entry.kd,
-                pin_joint.idx_q,
-                pin_joint.idx_v,
-                int(model.getJointId(name)),
-                entry.gear_ratio,
-                entry.torque_constant,
-                dict(entry.resolution),
-            )
-        )
+        if name not in known:
+            raise RobotError(f"{where}: {unknown('joint', name, known)}")
+        if model.existJointName(name):  # else its section is left out
+            joints.append(_joint(model, name, entry, where))
     joints.sort(key=lambda joint: joint.idx_v)
-    effects = _effects(file.effects, [joint.name for joint in joints], where)
-    return Robot(file.name, path, model, tuple(joints), file.rates, file.tolerance, effects, file, urdf)
+    names = [joint.name for joint in joints]
+    absent = [name for name in file.joints if name not in names]
+    effects = _effects([e for e in file.effects if e.get("joint") not in absent], names, where)
+    return Robot(
+        file.name,
+        path,
+        model,
+        tuple(joints),
+        file.rates,
+        file.tolerance,
+        effects,
+        file,
+        description.path,
+        description,
+        choice.spawned,
+        choice.disabled,
+    )
+
+
+def _joint(model: pin.Model, name: str, entry: schema.JointEntry, where: str) -> Joint:
+    pin_joint = model.joints[model.getJointId(name)]
+    if pin_joint.nq != 1 or pin_joint.nv != 1:
+        raise RobotError(
+            f"{where}: joint {name!r} has {pin_joint.nv} degrees of freedom; only single-axis joints can"
+            " be actuated"
+        )
+    return Joint(
+        name,
+        Drive(entry.stiffness, entry.damping, entry.motor_inertia, entry.motor_damping),
+        entry.torque_limit,
+        entry.kp,
+        entry.kd,
+        pin_joint.idx_q,
+        pin_joint.idx_v,
+        int(model.getJointId(name)),
+        entry.gear_ratio,
+        entry.torque_constant,
+        dict(entry.resolution),
+    )
 
 
 def _effects(entries: Sequence[Mapping[str, Any]], joints: Sequence[str], where: str) -> tuple[Planned, ...]:
@@ -187,61 +253,21 @@ def _effects(entries: Sequence[Mapping[str, Any]], joints: Sequence[str], where:
     return tuple(planned)
 
 
-def _find_urdf(file: schema.RobotFile, path: Path) -> Path:
-    name = file.urdf
-    if name.startswith("package://"):
-        rest = name.removeprefix("package://")
-        folders = _package_dirs(file, path)
-        for folder in folders:
-            if (folder / rest).is_file():
-                return folder / rest
-        raise RobotError(
-            f"{path}: URDF {name!r} not found under {', '.join(map(str, folders))}; add its folder to"
-            " package_dirs"
-        )
-    found = path.parent / name
-    if not found.is_file():
-        raise RobotError(f"{path}: URDF {found} does not exist; `urdf` is relative to the YAML or package://")
-    return found
-
-
-def _package_dirs(file: schema.RobotFile, path: Path) -> list[Path]:
-    own = [path.parent / folder for folder in file.package_dirs]
-    return [*own, path.parent, example_robot_data(), example_robot_data() / "example-robot-data"]
-
-
-def _load_model(file: schema.RobotFile, urdf: Path) -> pin.Model:
-    try:
-        text = _unwrap_continuous(urdf.read_text(encoding="utf-8"))
-        root = pin.JointModelFreeFlyer() if file.base == "floating" else None
-        model = pin.buildModelFromXML(text, root) if root else pin.buildModelFromXML(text)
-    except (ElementTree.ParseError, ValueError, RuntimeError, UnicodeDecodeError) as error:
-        raise RobotError(f"URDF {urdf} cannot be loaded: {' '.join(str(error).split())}") from None
+def _lock(full: pin.Model, file: schema.RobotFile, known: Collection[str], path: Path) -> pin.Model:
+    """The model with the locked joints reduced, mass kept, and gravity set."""
     for name in file.lock:
-        if not model.existJointName(name):
-            raise RobotError(f"{urdf}: cannot lock {unknown('joint', name, list(model.names)[1:])}")
-    if file.lock:
-        held = pin.neutral(model)
-        for name in file.lock:
+        if name not in known:
+            raise RobotError(f"{path}: cannot lock {unknown('joint', name, known)}")
+    model = full
+    locked = [name for name in file.lock if full.existJointName(name)]
+    if locked:
+        held = pin.neutral(full)
+        for name in locked:
             if name in file.initial:
-                held[model.joints[model.getJointId(name)].idx_q] = file.initial[name]
-        model = pin.buildReducedModel(model, [model.getJointId(name) for name in file.lock], held)
+                held[full.joints[full.getJointId(name)].idx_q] = file.initial[name]
+        model = pin.buildReducedModel(full, [full.getJointId(name) for name in locked], held)
     model.gravity.linear = np.array(file.gravity)
     return model
-
-
-def _unwrap_continuous(urdf: str) -> str:
-    """Continuous joints as revolute ones without limits: a recording holds unwrapped angles."""
-    tree = ElementTree.fromstring(urdf)
-    for joint in tree.iter("joint"):
-        if joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            limit = joint.find("limit")
-            limit = limit if limit is not None else ElementTree.SubElement(joint, "limit")
-            limit.attrib.setdefault("effort", "1e9")
-            limit.attrib.setdefault("velocity", "1e9")
-            limit.attrib.update(lower="-1e9", upper="1e9")
-    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def write(robot: Robot, path: str | os.PathLike[str]) -> None:
@@ -251,8 +277,9 @@ def write(robot: Robot, path: str | os.PathLike[str]) -> None:
     """
     out = Path(path)
     raw = robot.file.model_dump(mode="python", exclude_unset=True)
-    if not robot.file.urdf.startswith("package://"):
-        raw["urdf"] = _relative(robot.urdf, out.parent)
+    kind, name = robot.file.description
+    if not name.startswith("package://"):
+        raw[kind] = _relative(robot.urdf, out.parent)
     if robot.file.package_dirs:
         raw["package_dirs"] = [_relative(robot.path.parent / d, out.parent) for d in robot.file.package_dirs]
     entries = []

@@ -45,11 +45,36 @@ class JointEntry(Strict):
     resolution: dict[str, float] = Field(default_factory=dict)
 
 
+class Section(Strict):
+    """A part of the robot that can be left out: sub-trees of the URDF, each named by its first joint.
+
+    Without roots it is the anchor and always there. `parts` names single sub-trees, instead of `roots`.
+    """
+
+    roots: tuple[str, ...] = ()
+    parts: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    supports: bool = False  # a floating base is fixed when all that support it are left out
+
+    @property
+    def all_roots(self) -> tuple[str, ...]:
+        return (*self.roots, *(root for roots in self.parts.values() for root in roots))
+
+
+class Preset(Strict):
+    """Numbers that replace those of the file: of joints, and the rates."""
+
+    joints: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    rates: dict[str, Any] = Field(default_factory=dict)
+    note: str = ""
+
+
 class RobotFile(Strict):
     """The whole file; effects are checked against the catalogue by `flexjoint.robot`."""
 
     name: str
-    urdf: str
+    urdf: str | None = None
+    mjcf: str | None = None
+    sdf: str | None = None
     base: Literal["fixed", "floating"] = "fixed"
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     rates: Rates = Rates()  # type: ignore[call-arg]
@@ -59,15 +84,25 @@ class RobotFile(Strict):
     effects: tuple[dict[str, Any], ...] = ()
     sources: dict[str, Any] = Field(default_factory=dict)
     offsets: Literal["per_recording"] | None = None
-    presets: dict[str, Any] = Field(default_factory=dict)
-    sections: dict[str, Any] = Field(default_factory=dict)
+    presets: dict[str, Preset] = Field(default_factory=dict)
+    sections: dict[str, Section] = Field(default_factory=dict)
+    spawn: tuple[str, ...] | None = None  # sections that are there; None: all
     contacts: Any = None
     initial: dict[str, float] = Field(default_factory=dict)
+    poses: dict[str, dict[str, float]] = Field(default_factory=dict)
+    continuous: tuple[str, ...] = ()
     sensing_delay: float = Field(0.0, ge=0, le=0.1)
     package_dirs: tuple[str, ...] = ()
 
+    @property
+    def description(self) -> tuple[str, str]:
+        """Kind (urdf, mjcf or sdf) and name of the description."""
+        given = {"urdf": self.urdf, "mjcf": self.mjcf, "sdf": self.sdf}
+        return next((kind, name) for kind, name in given.items() if name is not None)
 
-_SECTIONS: dict[str, type[Strict]] = {"rates": Rates, "tolerance": Tolerance}
+
+_SINGLE: dict[str, type[Strict]] = {"rates": Rates, "tolerance": Tolerance}
+_NAMED: dict[str, type[Strict]] = {"joints": JointEntry, "sections": Section, "presets": Preset}
 
 
 def parse(raw: Any, where: str) -> RobotFile:
@@ -75,9 +110,17 @@ def parse(raw: Any, where: str) -> RobotFile:
     if not isinstance(raw, dict):
         raise RobotError(f"{where}: expected a mapping with name, urdf and joints, got {type(raw).__name__}")
     try:
-        return RobotFile.model_validate(raw)
+        file = RobotFile.model_validate(raw)
     except ValidationError as error:
         raise _readable(error, raw, where) from None
+    given = [kind for kind in ("urdf", "mjcf", "sdf") if getattr(file, kind) is not None]
+    if len(given) != 1:
+        came = " and ".join(given) or "none of them"
+        raise RobotError(f"{where}: expected one of urdf, mjcf and sdf, the robot's description; got {came}")
+    for name, section in file.sections.items():
+        if section.roots and section.parts:
+            raise RobotError(f"{where}: section {name} has both roots and parts; keep one of them")
+    return file
 
 
 def _readable(error: ValidationError, raw: dict[str, Any], where: str) -> FlexJointError:
@@ -86,7 +129,7 @@ def _readable(error: ValidationError, raw: dict[str, Any], where: str) -> FlexJo
     if first["type"] == "extra_forbidden":
         kind: type[Strict] = RobotFile
         if len(path) > 1:
-            kind = JointEntry if path[0] == "joints" else _SECTIONS.get(path[0], RobotFile)
+            kind = (_NAMED if len(path) > 2 else _SINGLE).get(path[0], RobotFile)
         inside = f" in {'.'.join(path[:-1])}" if len(path) > 1 else ""
         return RobotError(f"{where}{inside}: {unknown('key', path[-1], kind.model_fields)}")
     if first["type"] == "missing":

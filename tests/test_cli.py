@@ -62,7 +62,9 @@ def test_help_is_quick_and_names_every_command() -> None:
     )
     assert time.monotonic() - begin < 1.0  # about 0.1 s: no heavy module is imported
     assert done.returncode == 0
-    for command in ("diagnose", "compare", "simulate", "theta-d", "demo", "robots", "effects"):
+    for command in (
+        "diagnose", "compare", "simulate", "theta-d", "view", "paper", "demo", "robots", "effects",
+    ):  # fmt: skip
         assert command in done.stdout
 
 

@@ -165,7 +165,7 @@ def test_an_unknown_shipped_robot_lists_those_there_are(
     monday: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = complaint(capsys, "compare", monday, "--robot", "kr30")
-    assert "no robot 'kr30': give a YAML file or one of kr300, rrbot" in said
+    assert "no robot 'kr30': give a YAML file or one of centauro, kr300, panda, rrbot" in said
 
 
 @pytest.mark.parametrize("horizon", [0, -1, 1e9, "nan"])

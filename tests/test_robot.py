@@ -129,7 +129,7 @@ GAP = {"effect": "backlash", "joint": "elbow", "gap": 0.01}
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"stiffness": 3}, "unknown key 'stiffness'; valid: base, contacts, effects"),
+        ({"stiffness": 3}, "unknown key 'stiffness'; valid: base, contacts, continuous, effects"),
         ({"joint": {}}, r"unknown key 'joint' \(did you mean 'joints'"),
         ({"name": None}, "name is missing; every robot needs it"),
         ({"joints": None}, "joints is missing"),
@@ -185,7 +185,7 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     refused(tmp_path / "none.yaml", "does not exist; give the path of a robot YAML")
     (tmp_path / "arm.yaml").mkdir()
     refused(tmp_path / "arm.yaml", "is a folder")
-    with pytest.raises(RobotError, match=r"no robot 'kr3000': give a YAML file or one of kr300"):
+    with pytest.raises(RobotError, match=r"no robot 'kr3000': give a YAML file or one of centauro, kr300"):
         robot.load("kr3000")
 
 
