@@ -108,7 +108,7 @@ class Midpoint:
             unit[place] = unit[place] + 1.0
             columns.append(model.body.aba(q_mid, v_mid, unit, armature) - acc)
             free.append(x.v[place] + a * acc[place])
-            levels.append(lines[i].link_level(model.flows[i], free[-1]))
+            levels.append(lines[i].link_level(model.flows[i], x.z, free[-1]))
         count = range(len(places))
         force: list[Value] = [0.0 for _ in count]
         for _ in range(self.sweeps):
@@ -192,14 +192,14 @@ class Line:
     inertia: Value = 0.0
     motor_level: Value = 0.0
 
-    def link_level(self, flow: JointFlow, velocity: Value) -> Value:
+    def link_level(self, flow: JointFlow, z: Value, velocity: Value) -> Value:
         """Bound of the dry friction on the link; a rigid joint's motor rubs there too."""
         s = self.signals
         s.dq = _directed(s.dq, velocity)
-        self.level = flow.link_level(s)
+        self.level = flow.link_level(s, z)
         if flow.joint.rigid:
             s.dtheta = s.dq
-            self.motor_level = flow.motor_level(s)
+            self.motor_level = flow.motor_level(s, z)
             self.level = self.level + self.motor_level
         return self.level
 
@@ -226,7 +226,7 @@ def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
         wanted = push + a * kd * s.dq  # den times the midpoint velocity that dry friction has to stop
         velocity = s.dtheta
         s.dtheta = _directed(velocity, wanted)
-        level = a * flow.motor_level(s)
+        level = a * flow.motor_level(s, at.z)
         s.dtheta = velocity
         sticks = ops.absolute(wanted) <= level
         free, shed = (wanted / den - w) / a, level / (a * den)

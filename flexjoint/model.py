@@ -247,9 +247,9 @@ class FlexibleJointModel:
             s = self.signals(state, i, tau_m[i])
             drive, joint = flow.drive, flow.joint
             on_motor, on_link = flow.torques(s, state.z)
-            rub = flow.motor_level(s) * ops.tanh(s.dtheta / width)
+            rub = flow.motor_level(s, state.z) * ops.tanh(s.dtheta / width)
             motor = flow.command(s, tau_m[i]) + on_motor - rub - drive.D_m * s.dtheta
-            link = on_link - flow.link_level(s) * ops.tanh(s.dq / width)
+            link = on_link - flow.link_level(s, state.z) * ops.tanh(s.dq / width)
             if joint.rigid:
                 tau[joint.idx_v] = motor + link
                 armature[joint.idx_v] = drive.B
