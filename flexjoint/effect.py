@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import enum
 import importlib
+import math
 import pkgutil
 import re
 from collections import namedtuple
@@ -67,6 +68,7 @@ class Param:
     null: float | None = 0.0
     size: int = 1
     wraps: bool = False  # an angle, known only modulo 2 pi
+    step: float = math.inf  # longest step over which the law may be taken as linear
 
 
 @dataclass(frozen=True)
@@ -145,8 +147,9 @@ class Effect:
         """SPRING: torque added to tau_t. MOTOR, LINK: torque acting on that body."""
         return 0.0
 
-    def level(self, s: Signals, p: Any) -> Value:
-        """MOTOR, LINK: bound of a dry friction, >= 0. Schemes treat it as a set (it sticks)."""
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
+        """MOTOR, LINK: bound of a dry friction, >= 0, at the internal state z (0 without one). Schemes treat
+        it as a set (it sticks)."""
         return 0.0
 
     def rate(self, s: Signals, p: Any, z: Value) -> Value:

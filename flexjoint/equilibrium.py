@@ -106,7 +106,7 @@ def equilibrium(
         needed[:, i] = load[:, i] - flow.torques(s, z.T)[0]
         tau_m[:, i], given[:, i] = _command(flow, s, needed[:, i])
         s.tau_m = tau_m[:, i]
-        friction[:, i] = flow.motor_level(s)
+        friction[:, i] = flow.motor_level(s, z.T)
     result = Equilibrium(
         q=q,
         theta=links + phi,

@@ -141,13 +141,13 @@ class JointFlow:
             link = link + part.effect.torque(s, part.p, _state(part, s, z, 0.0))
         return motor, link
 
-    def motor_level(self, s: Signals) -> Value:
+    def motor_level(self, s: Signals, z: Any) -> Value:
         """Bound of the motor's dry friction."""
-        return sum((part.effect.level(s, part.p) for part in self._rubbing), 0.0)
+        return _level(self._rubbing, s, z)
 
-    def link_level(self, s: Signals) -> Value:
+    def link_level(self, s: Signals, z: Any) -> Value:
         """Bound of the link's dry friction."""
-        return sum((part.effect.level(s, part.p) for part in self._link_rubbing), 0.0)
+        return _level(self._link_rubbing, s, z)
 
     def rates(self, s: Signals, z: Any) -> list[tuple[int, Value]]:
         """Place and time derivative of each internal state."""
@@ -203,6 +203,10 @@ class JointFlow:
 
 def _does(part: Part, site: Site, *methods: str) -> bool:
     return part.effect.site is site and any(part.effect.overrides(method) for method in methods)
+
+
+def _level(parts: Sequence[Part], s: Signals, z: Any) -> Value:
+    return sum((part.effect.level(s, part.p, _state(part, s, z, 0.0)) for part in parts), 0.0)
 
 
 def _state(part: Part, s: Signals, z: Any, ahead: float) -> Value:

@@ -166,7 +166,7 @@ class _Rubbing:
             free = x.dtheta[k] + h * ddtheta[k]
             s, drive = model.signals(x, i, tau_m[i]), model.flows[i].drive
             s.dtheta = directed(s.dtheta, free)
-            stopped = h * model.flows[i].motor_level(s) / drive.B
+            stopped = h * model.flows[i].motor_level(s, x.z) / drive.B
             ddtheta[k] = (free - ops.clip(free, -stopped, stopped) - x.dtheta[k]) / h
         return ddtheta
 
@@ -196,10 +196,10 @@ class _Rubbing:
         """Bound of the dry friction on a link; a rigid joint's motor rubs there too."""
         flow, s = self.model.flows[i], self.model.signals(x, i, tau_m[i])
         s.dq = directed(s.dq, velocity)
-        level = flow.link_level(s)
+        level = flow.link_level(s, x.z)
         if flow.joint.rigid:
             s.dtheta, s.tau_t = s.dq, r.tau_t[i]
-            level = level + flow.motor_level(s)
+            level = level + flow.motor_level(s, x.z)
         return level
 
 

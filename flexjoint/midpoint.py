@@ -104,7 +104,7 @@ class Midpoint:
             unit[place] = unit[place] + 1.0
             columns.append(model.body.aba(q_mid, v_mid, unit, armature) - acc)
             free.append(x.v[place] + a * acc[place])
-            levels.append(lines[i].link_level(model.flows[i], free[-1]))
+            levels.append(lines[i].link_level(model.flows[i], x.z, free[-1]))
         coupling = [[a * column[place] for column in columns] for place in places]
         force = settle(free, levels, coupling, self.sweeps, model.symbolic)
         count = range(len(places))
@@ -180,14 +180,14 @@ class Line:
     inertia: Value = 0.0
     motor_level: Value = 0.0
 
-    def link_level(self, flow: JointFlow, velocity: Value) -> Value:
+    def link_level(self, flow: JointFlow, z: Value, velocity: Value) -> Value:
         """Bound of the dry friction on the link; a rigid joint's motor rubs there too."""
         s = self.signals
         s.dq = directed(s.dq, velocity)
-        self.level = flow.link_level(s)
+        self.level = flow.link_level(s, z)
         if flow.joint.rigid:
             s.dtheta = s.dq
-            self.motor_level = flow.motor_level(s)
+            self.motor_level = flow.motor_level(s, z)
             self.level = self.level + self.motor_level
         return self.level
 
@@ -214,7 +214,7 @@ def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
         wanted = push + a * kd * s.dq  # den times the midpoint velocity that dry friction has to stop
         velocity = s.dtheta
         s.dtheta = directed(velocity, wanted)
-        level = a * flow.motor_level(s)
+        level = a * flow.motor_level(s, at.z)
         s.dtheta = velocity
         sticks = ops.absolute(wanted) <= level
         free, shed = (wanted / den - w) / a, level / (a * den)

@@ -262,8 +262,8 @@ class FlexibleJointModel:
             motor = flow.command(s, tau_m[i]) + on_motor - drive.D_m * s.dtheta
             link = on_link
             if width is not None:
-                motor = motor - flow.motor_level(s) * ops.tanh(s.dtheta / width)
-                link = link - flow.link_level(s) * ops.tanh(s.dq / width)
+                motor = motor - flow.motor_level(s, state.z) * ops.tanh(s.dtheta / width)
+                link = link - flow.link_level(s, state.z) * ops.tanh(s.dq / width)
             if joint.rigid:
                 tau[joint.idx_v] = motor + link
                 armature[joint.idx_v] = drive.B

@@ -83,7 +83,7 @@ def describing(planned: Planned, at: Signals, amplitude: Mapping[str, float]) ->
     effect, p = planned.effect, planned.p
     if effect.site is Site.SENSOR:
         raise ModelError(f"{planned}: no describing function of a sensor; choose nonsmooth='slope' or 'null'")
-    if effect.states:
+    if effect.states and not effect.overrides("level"):
         quasi: _Quasi = _Lag(planned, _same_harmonic(planned, amplitude))
         return replace(planned, effect=quasi, values={})
     own = {Site.COMMAND: "tau_m", Site.DEFLECTION: "phi"}.get(effect.site, "")
@@ -95,7 +95,8 @@ def describing(planned: Planned, at: Signals, amplitude: Mapping[str, float]) ->
         return effect.torque(s, p, 0.0)
 
     def friction(s: Signals) -> Value:
-        return -effect.level(s, p) * np.sign(getattr(s, velocity))
+        # what a rest has built up is worn off by what swings
+        return -effect.level(s, p, 0.0) * np.sign(getattr(s, velocity))
 
     gains = {name: _harmonic(law, at, name, _of(amplitude, name, planned)) for name in _signals_of(law)}
     if effect.overrides("level"):

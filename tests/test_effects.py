@@ -65,10 +65,10 @@ def inputs(effect: Effect, vector: Any) -> Inputs:
 
 def piece(effect: Effect, name: str, i: Inputs) -> list[Any]:
     """The outputs of one piece of physics."""
-    if name in ("map", "torque", "rate"):
+    if name in ("map", "torque", "rate", "level"):
         return [getattr(effect, name)(i.s, i.p, i.x if name == "map" else i.z)]
-    if name in ("slope", "level"):
-        return [getattr(effect, name)(i.s, i.p)]
+    if name == "slope":
+        return [effect.slope(i.s, i.p)]
     if name == "delay":
         return [effect.delay(i.p)]
     if name == "edit_drive":
@@ -100,6 +100,7 @@ NEAR = 1e-3
 KINKS: dict[str, Callable[[Inputs], tuple[float, ...]]] = {
     "asymmetric_friction": lambda i: (i.s.dtheta / 2,),
     "backlash": lambda i: ((abs(i.x) - i.p.gap / 2) / 0.02,),
+    "breakaway_friction": lambda i: (i.s.dtheta / 2,),
     "dahl_friction": lambda i: (i.s.dtheta / 2,),
     "drive_efficiency": lambda i: (i.s.dtheta / 2, i.s.tau_t / 20),
     "end_stop": lambda i: (i.s.q - i.p.position, i.p.position),
@@ -228,6 +229,13 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
     "torque_sensor_gain": ("gain 1", {"map": lambda i: i.x + i.p.gain * i.x}),
     "sensor_delay": ("delay s", {"delay": lambda i: i.p.delay}),
     # beyond the table
+    "breakaway_friction": (
+        "level N m, distance rad",
+        {
+            "level": lambda i: i.p.level * i.z,
+            "rate": lambda i: -i.z * abs(i.s.dtheta) / i.p.distance,
+        },
+    ),
     "dahl_friction": (
         "level N m, scale rad",
         {"torque": lambda i: -i.z, "rate": lambda i: _dahl(i.s.dtheta, i.z, i.p)},
@@ -239,6 +247,10 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
                 abs(i.s.tau_t) * (i.p.loss_driving if i.s.tau_t * i.s.dtheta > 0 else i.p.loss_backdriving)
             )
         },
+    ),
+    "encoder_ripple": (
+        "amplitude rad, cycles 1, phase rad",
+        {"map": lambda i: i.x + i.p.amplitude * np.sin(i.p.cycles * i.x + i.p.phase)},
     ),
     "quadratic_drag": (
         "coefficient N m s^2/rad^2",
@@ -341,7 +353,7 @@ def test_finite_at_all_bounds_and_no_negative_friction(effect: Effect) -> None:
         for at in (vector, np.where(np.arange(len(vector)) < 11, 0.0, vector)):
             assert np.all(np.isfinite(np.array(outputs(effect, at.tolist()), dtype=float)))
             assert np.all(np.isfinite(np.array(function(at)[1]))), "derivatives too"
-            assert effect.level(inputs(effect, at).s, inputs(effect, at).p) >= 0.0
+            assert effect.level(inputs(effect, at).s, inputs(effect, at).p, 0.5) >= 0.0
 
 
 @every_effect
@@ -353,7 +365,7 @@ def test_absent_at_null(effect: Effect) -> None:
         i.p = i.p._replace(**{p.name: p.null for p in effect.nulls})
         assert effect.map(i.s, i.p, i.x) == i.x
         assert effect.slope(i.s, i.p) == (1.0 if effect.site is Site.DEFLECTION else 0.0)
-        assert effect.level(i.s, i.p) == 0.0 and effect.delay(i.p) == 0.0
+        assert effect.level(i.s, i.p, 0.0) == 0.0 and effect.delay(i.p) == 0.0
         assert effect.torque(i.s, i.p, z) == 0.0
         z += 1e-6 * effect.rate(i.s, i.p, z)  # the torque must stay 0 whatever the state has seen
         assert effect.edit_drive(i.drive, i.p) == i.drive

@@ -13,7 +13,8 @@ from flexjoint.diagnose import held_out, leftover, verdict
 from flexjoint.diagnose.balances import Balances
 from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.experiment import advice
-from flexjoint.diagnose.selection import select
+from flexjoint.diagnose.selection import Selection, select
+from flexjoint.diagnose.together import combine
 from flexjoint.diagnose.workspace import Workspace, balances_of
 from flexjoint.diagnosis import Diagnosis
 from flexjoint.effect import catalogue
@@ -35,11 +36,12 @@ def diagnose(
     progress: Progress | None = None,
     excluded: frozenset[str] = frozenset(),
 ) -> Diagnosis:
-    """Name what the nominal model gets wrong on the first recording; measure the gain on held-out blocks.
+    """Name what the nominal model gets wrong on the recordings; measure the gain on held-out blocks of the
+    first, whose residuals and onsets are the ones reported.
 
     Args:
         robot: the nominal model with its tolerances.
-        recordings: at least one; the first is diagnosed.
+        recordings: at least one; several are explained together, by one set of causes and numbers.
         progress: called with a share in [0, 1] and what is being done.
         excluded: names of effects that are left out of the catalogue.
 
@@ -61,14 +63,28 @@ def diagnose(
         return Diagnosis("refused", refusal)
     workspace = Workspace(balances)
     candidates = enumerate_candidates(workspace, excluded)
-    selection = select(workspace, candidates, report)
+    share = 0.92 / len(recordings)
+    selection = select(workspace, candidates, _part(report, 0.0, share))
+    selection, notes = verdict.sure(selection)
+    spread = None
+    if len(recordings) > 1:
+        others = [
+            _searched(robot, other, excluded, _part(report, k * share, share))
+            for k, other in enumerate(recordings[1:], start=1)
+        ]
+        together = combine([selection, *others])
+        selection, spread, notes = together.selection, together.errors, notes + together.notes
     report(0.92, "measuring the gain on held-out data")
-    selection, measured, notes = held_out.confirmed(robot, recording, workspace, selection)
+    chosen = selection.best.effects
+    selection, measured, worse = held_out.confirmed(robot, recording, workspace, selection)
+    if spread is not None:
+        spread = [errors for e, errors in zip(chosen, spread, strict=True) if e in selection.best.effects]
     best = selection.best
     residuals = leftover.views(best, selection.nothing)
     left = leftover.unexplained(best, residuals)
     explained = leftover.explained(best, residuals)
-    found = verdict.findings(selection, held_out.gains(workspace, best, selection.nothing), explained)
+    gains = held_out.gains(workspace, best, selection.nothing)
+    found = verdict.findings(selection, gains, explained, spread)
     found = verdict.merged(found, candidates)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)
@@ -85,12 +101,28 @@ def diagnose(
         ranking=verdict.ranking(selection),
         residuals=residuals,
         explained=explained,
-        notes=notes,
+        notes=notes + worse,
         energy=(
             float(np.mean(selection.nothing.workspace.temper)),
             float(np.mean(best.workspace.temper)),
         ),
     )
+
+
+def _searched(robot: Robot, recording: Recording, excluded: frozenset[str], report: Progress) -> Selection:
+    """What another recording of the same robot says by itself."""
+    balances = balances_of(robot, recording)
+    refusal = _refusal(balances)
+    if refusal:
+        raise RecordingError(f"{recording.name} cannot be diagnosed together with the others: {refusal}")
+    workspace = Workspace(balances)
+    selection = select(workspace, enumerate_candidates(workspace, excluded), report)
+    return verdict.sure(selection)[0]
+
+
+def _part(report: Progress, begin: float, share: float) -> Progress:
+    """Progress of a part of the work."""
+    return lambda done, what: report(begin + share * done, what)
 
 
 def extended_model(robot: Robot, diagnosis: Diagnosis) -> Robot:

@@ -44,6 +44,7 @@ class Chains:
         self.filter, self.jomega = motion.filter, 1j * motion.filter.omega
         self.period = motion.readings.period
         self.t = motion.readings.time - motion.readings.start
+        self.floating = motion.robot.file.offsets == "per_recording"
         self._cache: dict[object, Chain] = {}
         self._bases: dict[int, Base] = {}
 
@@ -98,7 +99,9 @@ class Chains:
         own = motor_hat if joint.rigid else spring_hat
         link_hat = link_hat + self._link_friction(i, at[Site.LINK], signals, own + link_hat)
         if base.driven:
-            load = self.filter.spectrum(self.motion.rigid.tau[i]) - link_hat if joint.rigid else spring_hat
+            # with unknown encoder offsets the spring's torque is known up to a constant only
+            by_link = joint.rigid or self.floating
+            load = self.filter.spectrum(self.motion.rigid.tau[i]) - link_hat if by_link else spring_hat
             motor_hat = motor_hat + self._motor_friction(i, at[Site.MOTOR], signals, drive, motor_hat - load)
         reading = base.reading
         if sensed and np.isfinite(tau_t[0]):
@@ -208,6 +211,8 @@ class Chains:
         if not dry:
             return 0.0
         net = self._time(torque_hat) - self.motion.rigid.tau[i]
+        if self.floating:
+            net = net - np.mean(net)
         noise = float(self.motion.readings.noise["q"][i])
         return self._dry(dry, signals, signals.dq, net, self._link_inertia(i), noise)
 
@@ -243,9 +248,9 @@ class Chains:
         level = np.zeros_like(speed)
         # what a level does below the speed that the data resolve is not known: it is held there
         resolved = np.where(speed < 0.0, -1.0, 1.0) * np.maximum(np.abs(speed), REST_SPEED)
-        signals = replace(signals, dtheta=resolved, dq=resolved)
+        moved, signals = signals, replace(signals, dtheta=resolved, dq=resolved)
         for e in effects:
-            value = e.effect.level(signals, e.p) * np.ones_like(speed)
+            value = e.effect.level(signals, e.p, self._state(e, moved)) * np.ones_like(speed)
             level = level + self._since(e, value, np.zeros_like(value))
         window = self.filter
         # what the encoder's noise makes of inertia x acceleration in the net torque

@@ -73,7 +73,7 @@ def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) 
     energy = workspace.energy(y) + _prior(slots, current)
     damping, jacobian = 1e-3, _jacobian(workspace, current, slots)
     for _ in range(iterations):
-        normal, slope = _normal_equations(workspace, jacobian, y, slots, current)
+        normal, slope = normal_equations(workspace, jacobian, y, slots, current)
         while damping < 1e8:
             trial = _step(current, slots, normal, slope, damping)
             trial_y = workspace.residual(trial)
@@ -124,10 +124,10 @@ def step_of(workspace: Workspace, slot: Slot, effects: Sequence[Planned]) -> flo
     """Finite-difference step: relative to the value, but not below a size the data could ever show."""
     here = abs(slot.get(effects))
     floor = {"rad": 1e-6, "s": 1e-6, "m": 1e-3, "kg": 1e-4}.get(slot.param.unit, 1e-5)
-    return max(RELATIVE_STEP * here, floor)
+    return min(max(RELATIVE_STEP * here, floor), slot.param.step)
 
 
-def _normal_equations(
+def normal_equations(
     workspace: Workspace,
     jacobian: np.ndarray,
     y: np.ndarray,
@@ -179,7 +179,7 @@ def covariance(result: Fit, blocks: np.ndarray) -> np.ndarray:
     k, workspace = len(result.slots), result.workspace
     if k == 0:
         return np.zeros((0, 0))
-    normal, _ = _normal_equations(workspace, result.tangents, result.y, result.slots, result.effects)
+    normal, _ = normal_equations(workspace, result.tangents, result.y, result.slots, result.effects)
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     bread = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
     projected = workspace.project(result.tangents) * workspace.weights

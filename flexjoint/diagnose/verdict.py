@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnose.candidates import Candidate
-from flexjoint.diagnose.fit import Fit, covariance
+from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.selection import Selection, leftover, score
 from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
 from flexjoint.effect import Kind, Planned
@@ -20,15 +20,58 @@ SCORE_BLOCK = 1.0  # s, of the time blocks behind the standard errors
 SEEN_SHARE = 0.2  # of a joint's torque: an effect that must be larger to be seen was not excited
 DETECTABLE = 20.0  # energy that makes an effect seen
 SAME = 3.0  # deviations within which joints share one value
+SURE = 2.5  # standard errors by which a cause must differ from none
 NOTABLE = 2.0  # prior deviations of a nominal number that are worth a line
 
 
-def findings(selection: Selection, gains: Sequence[float], explained: float) -> tuple[Finding, ...]:
-    """The chosen effects as findings, the largest gain first."""
+def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
+    """The selection without causes whose own size is hardly known, the least certain first: where the
+    residual is not white, the curvature of a fit promises more than its scores keep."""
+    notes: list[str] = []
+    while selection.best.effects:
+        best = selection.best
+        certainty = [
+            _certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
+        ]
+        worst = int(np.argmin(certainty))
+        if certainty[worst] >= SURE:
+            break
+        notes.append(
+            f"{best.effects[worst]} would make the balance smaller, but its size is known to"
+            f" {certainty[worst]:.1f} standard errors only: not named"
+        )
+        keep = [k for k in range(len(best.effects)) if k != worst]
+        selection = replace(
+            selection,
+            best=fit(best.workspace, [best.effects[k] for k in keep]),
+            rivals=tuple(selection.rivals[k] for k in keep),
+        )
+    return selection, tuple(notes)
+
+
+def _certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:
+    """Distance of an effect from its absence, in standard errors of the number that is furthest from it."""
+    listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
+    distance = [0.0]
+    for param in planned.effect.nulls:
+        value = np.ravel(planned.values[param.name])
+        null = param.null if listed is None else np.ravel(listed.values[param.name])
+        std = np.array(spread.get(param.name, [0.0]))
+        distance.append(float(np.max(np.abs(value - null) / np.maximum(std, 1e-300))))
+    return max(distance)
+
+
+def findings(
+    selection: Selection,
+    gains: Sequence[float],
+    explained: float,
+    spread: Sequence[dict[str, list[float]]] | None = None,
+) -> tuple[Finding, ...]:
+    """The chosen effects as findings, the largest gain first; `spread` replaces the standard errors."""
     best = selection.best
     if not best.effects:
         return ()
-    spread = standard_errors(best)
+    spread = standard_errors(best) if spread is None else spread
     out: list[Finding] = []
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)

@@ -6,10 +6,14 @@ from math import floor, pi
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from flexjoint.effect import Param
 
 MAX_CYCLES = 60
+RIPPLES = 2  # strongest ripples of a signal that are tried
+SLOW = 0.1  # s, what a signal does on a longer scale is not a ripple
+BINS = 1 << 16  # of the angle's range
 # A sine of any phase and positive amplitude correlates by at least 1/2 with one of these three.
 PHASES = (0.0, 2 * pi / 3, -2 * pi / 3)
 
@@ -31,3 +35,32 @@ def whole_cycles(theta: Any) -> range:
     if travel * MAX_CYCLES <= 0.5 * pi:
         return range(MAX_CYCLES, MAX_CYCLES + 1)
     return range(max(1, floor(0.5 * pi / travel)), MAX_CYCLES + 1)
+
+
+def ripple_cycles(angle: Any, signal: Any, t: Any) -> tuple[float, ...]:
+    """Cycles per turn of the strongest ripples of a signal (N,) with an angle (N,) [rad] sampled at t [s].
+
+    The peaks of the periodogram over the angle, with samples gathered in fine bins of it; only ripples that
+    the motion covers at least twice, and samples at least thrice a period, can be told.
+    """
+    angle, signal = np.asarray(angle, float), np.asarray(signal, float)
+    travel = float(np.ptp(angle))
+    period = float(np.median(np.diff(t)))
+    speed = float(np.mean(np.abs(np.diff(angle)))) / period
+    width = SLOW / period
+    if angle.size < 4.0 * width or travel <= 0.0 or not np.ptp(signal) > 0.0:
+        return ()
+    fast = signal - gaussian_filter1d(signal, width)
+    place = np.minimum(((angle - angle.min()) / travel * BINS).astype(int), BINS - 1)
+    gathered = np.bincount(place, weights=fast, minlength=BINS)
+    power = np.abs(np.fft.rfft(gathered, 4 * BINS)) ** 2
+    cycles = 2.0 * pi / travel * np.arange(power.size) / 4.0
+    told = (cycles >= 4.0 * pi / travel) & (cycles <= 2.0 * pi / (3.0 * period * speed))
+    told &= cycles <= 2.0 * pi / travel * BINS / 16.0  # a bin must be a small part of a period
+    power = np.where(told, power * cycles**2, 0.0)  # of the slope: what a motion leaves in it is slow
+    found: list[float] = []
+    while len(found) < RIPPLES and np.max(power) > 0.0:
+        top = float(cycles[np.argmax(power)])
+        found.append(top)
+        power[np.abs(cycles - top) < 4.0 * pi / travel] = 0.0
+    return tuple(found)

@@ -21,6 +21,6 @@ class AsymmetricFriction(Effect):
     )
     contains = ("motor_coulomb_friction",)
 
-    def level(self, s: Signals, p: Any) -> Value:
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
         direction = ops.where(s.dtheta == 0.0, s.tau_m - s.tau_t, s.dtheta)
         return ops.where(direction >= 0.0, p.level_positive, p.level_negative)

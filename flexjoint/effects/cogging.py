@@ -4,7 +4,7 @@ from typing import Any
 
 from flexjoint import ops
 from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.effects._starts import PHASES, grid, whole_cycles
+from flexjoint.effects._starts import PHASES, grid, ripple_cycles, whole_cycles
 from flexjoint.ops import Value
 
 
@@ -15,7 +15,7 @@ class Cogging(Effect):
     law = r"\tau = \tau_m + a \sin(n \theta + \psi)"
     params = (
         Param("amplitude", "N m", "a", 0.2, 0.0, 1e4),
-        Param("cycles", "1", "n", 12.0, 0.5, 5e3, null=None),
+        Param("cycles", "1", "n", 12.0, 0.5, 5e3, null=None, step=0.01),
         Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
     )
 
@@ -23,4 +23,5 @@ class Cogging(Effect):
         return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        return grid(self.params, cycles=whole_cycles(s.theta), phase=PHASES)
+        cycles = (*whole_cycles(s.theta), *ripple_cycles(s.theta, s.tau_m, s.t))
+        return grid(self.params, cycles=cycles, phase=PHASES)

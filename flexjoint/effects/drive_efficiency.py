@@ -25,7 +25,7 @@ class DriveEfficiency(Effect):
     )
     contains = ("load_friction",)
 
-    def level(self, s: Signals, p: Any) -> Value:
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
         direction = ops.where(s.dtheta == 0.0, s.tau_m - s.tau_t, s.dtheta)
         loss = ops.where(s.tau_t * direction >= 0.0, p.loss_driving, p.loss_backdriving)
         return loss * ops.absolute(s.tau_t)

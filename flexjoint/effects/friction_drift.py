@@ -21,7 +21,7 @@ class FrictionDrift(Effect):
     )
     contains = ("motor_coulomb_friction",)
 
-    def level(self, s: Signals, p: Any) -> Value:
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
         return p.level * ops.exp(-s.t / p.time_constant)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:

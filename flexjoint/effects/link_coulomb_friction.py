@@ -13,5 +13,5 @@ class LinkCoulombFriction(Effect):
     law = r"\tau_l \operatorname{sgn}\dot q"
     params = (Param("level", "N m", r"\tau_l", 0.1, 0.0, 1e4),)
 
-    def level(self, s: Signals, p: Any) -> Value:
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
         return p.level

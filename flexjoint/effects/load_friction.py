@@ -14,5 +14,5 @@ class LoadFriction(Effect):
     law = r"\mu\,|\tau_t| \operatorname{sgn}\dot\theta"
     params = (Param("coefficient", "1", r"\mu", 0.1, 0.0, 20.0),)
 
-    def level(self, s: Signals, p: Any) -> Value:
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
         return p.coefficient * ops.absolute(s.tau_t)

@@ -13,5 +13,5 @@ class MotorCoulombFriction(Effect):
     law = r"\tau_c \operatorname{sgn}\dot\theta"
     params = (Param("level", "N m", r"\tau_c", 0.2, 0.0, 1e4),)
 
-    def level(self, s: Signals, p: Any) -> Value:
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
         return p.level

@@ -22,7 +22,7 @@ class RoughSpot(Effect):
     )
     contains = ("motor_coulomb_friction",)
 
-    def level(self, s: Signals, p: Any) -> Value:
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
         distance = (s.theta - p.position) / p.width
         return p.level * ops.exp(-distance * distance)
 

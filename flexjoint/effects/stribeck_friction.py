@@ -22,7 +22,7 @@ class StribeckFriction(Effect):
     )
     contains = ("motor_coulomb_friction",)
 
-    def level(self, s: Signals, p: Any) -> Value:
+    def level(self, s: Signals, p: Any, z: Value) -> Value:
         ratio = s.dtheta / p.velocity
         return p.level + p.static_extra * ops.exp(-ratio * ratio)
 

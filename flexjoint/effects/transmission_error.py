@@ -4,7 +4,7 @@ from typing import Any
 
 from flexjoint import ops
 from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.effects._starts import PHASES, grid, whole_cycles
+from flexjoint.effects._starts import PHASES, grid, ripple_cycles, whole_cycles
 from flexjoint.ops import Value
 
 
@@ -18,7 +18,7 @@ class TransmissionError(Effect):
     law = r"\phi + a \sin(n \theta + \psi)"
     params = (
         Param("amplitude", "rad", "a", 5e-4, 0.0, 0.5),
-        Param("cycles", "1", "n", 2.0, 0.5, 5e3, null=None),
+        Param("cycles", "1", "n", 2.0, 0.5, 5e3, null=None, step=0.01),
         Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
     )
     needs_spring = True
@@ -27,4 +27,5 @@ class TransmissionError(Effect):
         return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        return grid(self.params, cycles=whole_cycles(s.theta), phase=PHASES)
+        cycles = (*whole_cycles(s.theta), *ripple_cycles(s.theta, s.phi, s.t))
+        return grid(self.params, cycles=cycles, phase=PHASES)

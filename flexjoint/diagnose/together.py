@@ -1,0 +1,177 @@
+"""Several recordings of one robot: the set of causes that explains all of them with one set of numbers.
+
+Every recording is searched by itself. What they propose, their chosen sets and the rivals of each cause, is
+then fitted to each of them; near its own optimum p_i a recording's energy is a parabola with curvature N_i,
+so the numbers for all are p = (sum N_i)^-1 sum N_i p_i, and the set's energy is the sum of what each
+recording has to say against p. The price of a set is paid once: a cause that only one recording wants must
+earn it from that one alone, and two that tie in one are parted by another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flexjoint.diagnose.fit import Fit, fit, normal_equations
+from flexjoint.diagnose.selection import Selection, price, score
+from flexjoint.effect import Planned
+
+DISAGREE = 3.5  # standard errors by which a recording's own number may differ from the common one
+Key = frozenset[tuple[object, ...]]
+
+
+@dataclass(frozen=True)
+class Together:
+    """The common set as the first recording sees it, standard errors of its numbers from all recordings
+    (one dict of arrays per effect), and what is to be said about it."""
+
+    selection: Selection
+    errors: list[dict[str, list[float]]]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """One set of effects fitted to all recordings."""
+
+    effects: tuple[Planned, ...]
+    energy: float
+    fits: tuple[Fit, ...]  # each recording's own optimum
+    normals: tuple[np.ndarray, ...]
+    numbers: np.ndarray  # (slots,) common to all
+
+    @property
+    def score(self) -> float:
+        return self.energy + price(self.effects)
+
+
+def combine(selections: Sequence[Selection]) -> Together:
+    """The best set for all recordings among those that any of them proposes. Effects that set in during a
+    recording belong to it: those of the first stay with the first."""
+    proposals = _proposals(selections)
+    joints = {key: _fitted(selections, effects) for key, effects in proposals.items()}
+    best_key = min(joints, key=lambda key: joints[key].score)
+    best = joints[best_key]
+    first = selections[0]
+    dated = tuple(e for e in first.best.effects if e.since is not None)
+    workspace = first.best.workspace
+    chosen = fit(workspace, [*best.effects, *dated], iterations=0)
+    rivals = tuple(
+        tuple(
+            replace(
+                fit(workspace, [*kept, *dated, _other(kept, joint)], iterations=0),
+                energy=chosen.energy + joint.energy - best.energy,
+            )
+            for kept, joint in _with_another(best, best_key, effect, joints)
+        )
+        for effect in best.effects
+    ) + tuple(first.rivals[first.best.effects.index(e)] for e in dated)
+    selection = replace(first, best=chosen, rivals=tuple(tuple(sorted(r, key=score)) for r in rivals))
+    return Together(selection, _errors(best, chosen), _notes(best))
+
+
+def _identity(effect: Planned) -> tuple[object, ...]:
+    return (*effect.key, *(effect.values.get(w.name) for w in effect.effect.words))
+
+
+def _proposals(selections: Sequence[Selection]) -> dict[Key, tuple[Planned, ...]]:
+    """Sets by what they hold, with values to start from: nothing, each recording's own set, the union of
+    all, what all share, and every set with a rival in the place of a cause."""
+    out: dict[Key, tuple[Planned, ...]] = {}
+
+    def propose(effects: Sequence[Planned]) -> None:
+        lasting = {_identity(e): e for e in effects if e.since is None}
+        joints = {(e.effect.name, e.joint) for e in lasting.values()}
+        if len(joints) == len(lasting):
+            out.setdefault(frozenset(lasting), tuple(lasting.values()))
+
+    own = [[e for e in s.best.effects if e.since is None] for s in selections]
+    propose([])
+    for effects in own:
+        propose(effects)
+    union = {_identity(e): e for effects in own for e in effects}
+    propose(list(union.values()))
+    propose([e for e in own[0] if all(_identity(e) in {_identity(o) for o in other} for other in own[1:])])
+    found = list(out.values())
+    single = [e for s in selections for r in s.rivals for f in r for e in f.effects[-1:]]
+    for known in found:
+        for effect in known:
+            others = [e for e in known if e is not effect]
+            propose(others)
+            for rival in (*single, *union.values()):
+                if _identity(rival) not in {_identity(e) for e in known}:
+                    propose([*others, rival])
+    return out
+
+
+def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _Joint:
+    fits = [fit(s.best.workspace, effects) for s in selections]
+    normals = [
+        normal_equations(f.workspace, f.tangents, f.y, f.slots, f.effects)[0] if f.slots else np.zeros((0, 0))
+        for f in fits
+    ]
+    slots = fits[0].slots
+    own = [np.array([slot.get(f.effects) for slot in slots]) for f in fits]
+    for k, slot in enumerate(slots):
+        if slot.param.wraps:
+            for numbers in own[1:]:
+                numbers[k] += 2.0 * np.pi * np.round((own[0][k] - numbers[k]) / (2.0 * np.pi))
+    total = np.sum(normals, axis=0)
+    size = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    pull = np.sum([n @ p for n, p in zip(normals, own, strict=True)], axis=0)
+    numbers = np.linalg.lstsq(total / np.outer(size, size), pull / size, rcond=1e-12)[0] / size
+    common = list(fits[0].effects)
+    for slot, number in zip(slots, numbers, strict=True):
+        slot.put(common, float(np.clip(number, slot.param.low, slot.param.high)))
+    energy = sum(fit(s.best.workspace, common, iterations=0).energy for s in selections)
+    return _Joint(tuple(common), float(energy), tuple(fits), tuple(normals), numbers)
+
+
+def _with_another(
+    best: _Joint, best_key: Key, effect: Planned, joints: dict[Key, _Joint]
+) -> list[tuple[list[Planned], _Joint]]:
+    """The fitted sets that hold another cause in the place of one."""
+    kept = best_key - {_identity(effect)}
+    return [
+        ([e for e in joint.effects if _identity(e) in kept], joint)
+        for key, joint in joints.items()
+        if len(key) == len(best_key) and kept < key and key != best_key
+    ]
+
+
+def _other(kept: Sequence[Planned], joint: _Joint) -> Planned:
+    return next(e for e in joint.effects if e not in kept)
+
+
+def _errors(best: _Joint, chosen: Fit) -> list[dict[str, list[float]]]:
+    """Standard errors from all recordings' curvature, widened where the recordings disagree by more."""
+    out: list[dict[str, list[float]]] = [{} for _ in chosen.effects]
+    if not len(best.numbers):
+        return out
+    total = np.sum(best.normals, axis=0)
+    deviation = np.sqrt(np.diag(np.linalg.pinv(total)))
+    for k, slot in enumerate(best.fits[0].slots):
+        apart = [(slot.get(f.effects) - best.numbers[k]) ** 2 * n[k, k] for f, n in _each(best)]
+        spread = np.sqrt(max(1.0, sum(apart) / max(1, len(apart) - 1)))
+        out[slot.effect].setdefault(slot.param.name, []).append(float(deviation[k] * spread))
+    return out
+
+
+def _notes(best: _Joint) -> tuple[str, ...]:
+    notes = [f"causes and numbers common to all {len(best.fits)} recordings"]
+    for k, slot in enumerate(best.fits[0].slots):
+        own = [slot.get(f.effects) for f in best.fits]
+        apart = [
+            abs(x - best.numbers[k]) * np.sqrt(n[k, k]) for x, (_, n) in zip(own, _each(best), strict=True)
+        ]
+        if max(apart) > DISAGREE and not slot.param.wraps:
+            each = ", ".join(f"{x:.3g}" for x in own)
+            name = f"{slot.param.name} of {best.effects[slot.effect]}"
+            notes.append(f"the recordings disagree on {name}: {each} {slot.param.unit}".rstrip())
+    return tuple(notes)
+
+
+def _each(best: _Joint) -> list[tuple[Fit, np.ndarray]]:
+    return list(zip(best.fits, best.normals, strict=True))

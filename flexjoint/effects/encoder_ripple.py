@@ -1,0 +1,34 @@
+"""An encoder's lines are not even."""
+
+from typing import Any
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Kind, Param, Signals, Site, Word
+from flexjoint.effects._starts import PHASES, grid, ripple_cycles
+from flexjoint.ops import Value
+
+
+class EncoderRipple(Effect):
+    """An encoder's reading ripples with the angle it measures: its lines, or what divides them, are uneven,
+    or it is driven through a wheel of its own that runs out of true."""
+
+    site, kind, against = Site.SENSOR, Kind.SENSOR, "q"
+    reference = "Kavanagh 2001 (errors of encoders within a line)"
+    law = r"y = x + a \sin(n x + \psi)"
+    params = (
+        Param("amplitude", "rad", "a", 1e-4, 0.0, 0.5),
+        Param("cycles", "1", "n", 1024.0, 1.5, 1e6, null=None, step=0.01),
+        Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
+    )
+    words = (Word("channel", ("q", "theta"), "q"),)
+
+    def channels(self, p: Any) -> tuple[str, ...]:
+        return (p.channel,)
+
+    def map(self, s: Signals, p: Any, x: Value) -> Value:
+        return x + p.amplitude * ops.sin(p.cycles * x + p.phase)
+
+    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
+        cycles = (*ripple_cycles(s.q, s.phi, s.t), *ripple_cycles(s.theta, s.phi, s.t))
+        cycles = cycles or (self.params[1].value,)
+        return grid(self.params, cycles=cycles, phase=PHASES)
