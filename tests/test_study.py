@@ -16,13 +16,10 @@ from study.run import Range, diagnosed, ranges, records, write_range
 from study.score import detectable, outcome, struck_outcome
 from study.summary import Rate
 
-# planted at sizes well above the noise; the sample of `make study`'s cases that every change must keep
-NAMED = (
-    ("single", 185),
-    ("single", 296),
-)
-HEALTHY = (0, 1)
-STRUCK = (0,)
+# a fixed sample of the cases of `make study`: what every change must keep
+NAMED = (("single", 37), ("single", 148), ("single", 185), ("single", 333), ("double", 0))
+HEALTHY = (0, 1, 2, 3)
+STRUCK = (74,)
 
 
 # --- judging one case -------------------------------------------------------------------------------------

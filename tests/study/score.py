@@ -40,6 +40,7 @@ STRUCK_EQUIVALENTS: dict[str, frozenset[str]] = {
     "torque_delay": frozenset({"sensor_delay"}),  # of all sensors: the same machine, seen later
     "sensor_delay": frozenset({"torque_delay"}),
     "friction_drift": frozenset({"motor_coulomb_friction"}),  # a time constant far above the recording
+    "encoder_eccentricity": frozenset({"transmission_error"}),  # of one cycle
 }
 """Besides the groups: what together is the struck effect, to within what this recording can show."""
 
