@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | demo | robots | effects`.
+"""The command line: `flexjoint diagnose | compare | simulate | plan | demo | robots | effects`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. Heavy modules are imported by the commands that need them.
@@ -86,6 +86,19 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, metavar="REC", help="recording to write (.csv or .parquet)"
     )
     simulate.set_defaults(run=_simulate)
+
+    plan = commands.add_parser("plan", help="design the recording that decides what a diagnosis left open")
+    _robot_argument(plan)
+    plan.add_argument("--diagnosis", type=Path, metavar="D.json", help="break its ties (`diagnose --json`)")
+    plan.add_argument(
+        "--out", type=Path, required=True, metavar="REF", help="reference to write (.csv or .parquet)"
+    )
+    plan.add_argument("--seconds", type=float, help="duration, default 16")
+    plan.add_argument("--reach", type=float, help="rad to either side of the centre, default 0.6")
+    plan.add_argument("--speed", type=float, help="rad/s at most, default the URDF's limit")
+    plan.add_argument("--seed", type=int, default=1, help="of the search for a motion, default 1")
+    plan.add_argument("--quiet", action="store_true", help="print nothing")
+    plan.set_defaults(run=_plan)
 
     demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
     demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
@@ -176,6 +189,12 @@ def _simulate(arguments: argparse.Namespace) -> None:
     result = simulate(FlexibleJointModel(loaded), reference).measured
     recording.write(result, arguments.out)
     print(f"wrote {arguments.out}: {result.duration:.4g} s of {', '.join(result.joints)}")
+
+
+def _plan(arguments: argparse.Namespace) -> None:
+    from flexjoint import cli_plan
+
+    cli_plan.run(arguments)
 
 
 def _demo(arguments: argparse.Namespace) -> None:

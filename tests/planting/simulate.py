@@ -18,7 +18,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from .chain import Array, body_load, inverse_dynamics
-from .excitation import reference
+from .excitation import Reference, reference
 from .laws import Planted, check
 from .machine import Machine
 from .robots import Robot, deviating, read_robot
@@ -63,7 +63,7 @@ class Recorded:
 def plant(
     robot_yaml: Path,
     effects: list[Planted],
-    excitation: str,
+    excitation: str | Reference,
     seconds: float,
     seed: int,
     sensors: SensorSet,
@@ -71,7 +71,8 @@ def plant(
     inexact: float = 0.0,
     plant_seed: int | None = None,
 ) -> Recorded:
-    """Record `seconds` at `rate` [Hz] of the robot with its planted effects.
+    """Record `seconds` at `rate` [Hz] of the robot with its planted effects, along a kind of excitation or a
+    given reference.
 
     `seed` draws the trajectory and the noise, `plant_seed` (default: seed) the deviations of the real
     machine, so that two recordings can share a machine. Raises ValueError on unknown names and on a rate
@@ -95,7 +96,9 @@ def plant(
 class _Told:
     """What the controller is told at every tick; arrays (ticks, n), tick 0 at -SETTLING."""
 
-    def __init__(self, nominal: Robot, excitation: str, seconds: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self, nominal: Robot, excitation: str | Reference, seconds: float, rng: np.random.Generator
+    ) -> None:
         dynamics = nominal_dynamics(nominal)
         n = len(nominal.joints)
 
@@ -103,7 +106,7 @@ class _Told:
             motors = nominal.motor_inertia * a + nominal.motor_damping * v
             return (dynamics(q, v, a) + motors) / nominal.torque_limit
 
-        follow = reference(excitation, n, seconds, demand, rng)
+        follow = reference(excitation, n, seconds, demand, rng) if isinstance(excitation, str) else excitation
         before = round(SETTLING * nominal.control_rate)
         self.times = (
             np.arange(before + round(seconds * nominal.control_rate)) - before
