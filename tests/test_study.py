@@ -164,9 +164,9 @@ def test_a_stopped_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(study_run, "diagnosed", stub)
     monkeypatch.setattr(study_run, "ProcessPoolExecutor", InThisProcess)
-    write_range(tmp_path, Range("double", range(20)))
+    write_range(tmp_path, Range("double", range(10)))
     study_run.run(tmp_path, parts=("double",), shard=(1, 2))
-    assert sorted(done) == [n for n in range(COUNTS["double"]) if n // 20 % 2 == 0]  # the first range once
+    assert sorted(done) == [n for n in range(COUNTS["double"]) if n // 10 % 2 == 0]  # the first range once
     study_run.run(tmp_path, parts=("double",), shard=(2, 2))
     assert [r["number"] for r in records(tmp_path)] == list(range(COUNTS["double"]))
 

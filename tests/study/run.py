@@ -35,7 +35,7 @@ from flexjoint.robot import Robot
 
 from .cases import COUNTS, StudyCase, make
 
-RANGE = 20  # cases a file
+RANGE = 10  # cases a file
 
 
 @dataclass(frozen=True)
