@@ -150,7 +150,7 @@ def test_a_stopped_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         return {**record(COULOMB), "part": case.part, "number": case.number, "excess": 2.0, "diagnosis": 1.0}
 
     class InThisProcess:
-        def __init__(self, *_: Any) -> None: ...
+        def __init__(self, *_: Any, max_tasks_per_child: int) -> None: ...
         def __enter__(self) -> InThisProcess:
             return self
 
