@@ -7,11 +7,12 @@ OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint docs bench pictures clean
+.PHONY: help demo test study lint docs bench pictures clean
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
 	@echo "make test   style, types and all tests"
+	@echo "make study  some 1600 planted recordings diagnosed and counted: an hour or two; stop it and it goes on"
 	@echo "make lint   style and types only"
 	@echo "make docs   regenerate docs/effects.md"
 	@echo "make pictures   draw the pictures of notebooks/effect_of_stiffness.ipynb anew"
@@ -23,6 +24,13 @@ demo: .venv/.demo
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+# SHARD=1/2 and SHARD=2/2 share the work; STUDY is the folder that holds what is done
+STUDY ?= study-results
+SHARD ?= 1/1
+study: .venv/.test
+	PYTHONPATH=tests:. $(BIN)/python -m study run --out $(STUDY) --shard $(SHARD)
+	PYTHONPATH=tests:. $(BIN)/python -m study table --out $(STUDY) --page docs/diagnosis_study.md
 
 lint: .venv/.test
 	$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | theta-d | view | paper | demo | robots | ...`.
+"""The command line: `flexjoint diagnose | compare | simulate | plan | theta-d | view | paper | demo | ...`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. Heavy modules are imported by the commands that need them.
@@ -124,6 +124,19 @@ def _parser() -> argparse.ArgumentParser:
 
     cli_view.add(commands)
 
+    plan = commands.add_parser("plan", help="design the recording that decides what a diagnosis left open")
+    cli_robot.add_arguments(plan)
+    plan.add_argument("--diagnosis", type=Path, metavar="D.json", help="break its ties (`diagnose --json`)")
+    plan.add_argument(
+        "--out", type=Path, required=True, metavar="REF", help="reference to write (.csv or .parquet)"
+    )
+    plan.add_argument("--seconds", type=float, help="duration, default 16")
+    plan.add_argument("--reach", type=float, help="rad to either side of the centre, default 0.6")
+    plan.add_argument("--speed", type=float, help="rad/s at most, default the URDF's limit")
+    plan.add_argument("--seed", type=int, default=1, help="of the search for a motion, default 1")
+    plan.add_argument("--quiet", action="store_true", help="print nothing")
+    plan.set_defaults(run=_plan)
+
     demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
     demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
     demo.set_defaults(run=_demo)
@@ -220,6 +233,12 @@ def _theta_d(arguments: argparse.Namespace) -> None:
     from flexjoint import cli_theta_d
 
     cli_theta_d.run(arguments)
+
+
+def _plan(arguments: argparse.Namespace) -> None:
+    from flexjoint import cli_plan
+
+    cli_plan.run(arguments)
 
 
 def _demo(arguments: argparse.Namespace) -> None:

@@ -63,7 +63,7 @@ def test_help_is_quick_and_names_every_command() -> None:
     assert time.monotonic() - begin < 1.0  # about 0.1 s: no heavy module is imported
     assert done.returncode == 0
     for command in (
-        "diagnose", "compare", "simulate", "theta-d", "view", "paper", "demo", "robots", "effects",
+        "diagnose", "compare", "simulate", "plan", "theta-d", "view", "paper", "demo", "robots", "effects",
     ):  # fmt: skip
         assert command in done.stdout
 

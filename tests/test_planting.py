@@ -15,7 +15,7 @@ from planting.by_hand import JOINT, LEVER, lever_gravity
 from planting.cases import all_cases, single_cases, usual_effect, usual_excitation, write_case
 from planting.sensing import robot_noise
 
-NAMES = ("lever", "turret", "crane", "gimbal", "reach")
+NAMES = ("lever", "turret", "crane", "gimbal", "scara", "reach")
 GIMBAL = ROBOTS / "gimbal.yaml"
 
 

@@ -7,12 +7,24 @@ friction.
 
 from .laws import CATALOGUE, Planted
 from .robots import ROBOTS, read_robot
-from .sensing import ENCODERS, FULL, LINK_SIDE, MOTOR_ONLY, NO_COMMAND, PERFECT, RAGGED, Ragged, SensorSet
+from .sensing import (
+    ENCODERS,
+    FROM_CURRENT,
+    FULL,
+    LINK_SIDE,
+    MOTOR_ONLY,
+    NO_COMMAND,
+    PERFECT,
+    RAGGED,
+    Ragged,
+    SensorSet,
+)
 from .simulate import Recorded, plant
 
 __all__ = [
     "CATALOGUE",
     "ENCODERS",
+    "FROM_CURRENT",
     "FULL",
     "LINK_SIDE",
     "MOTOR_ONLY",

@@ -43,6 +43,7 @@ class Case:
     sensors: SensorSet = QUIET_FEEDBACK
     inexact: float = 0.0
     seconds: float = 16.0
+    rate: float = 500  # Hz, of the recording
 
     def truth(self) -> dict[str, object]:
         """What truth.json says of the case; parameters that are words stand under `words`."""
@@ -70,6 +71,7 @@ class Case:
             seconds,
             seed,
             self.sensors,
+            self.rate,
             inexact=self.inexact,
             plant_seed=self.seed,
         )
@@ -210,13 +212,13 @@ def single_case(
     excitation = excitation or usual_excitation(effect)
     case = Case(name, robot, excitation, (), int(rng.integers(1, 2**30)), sensors, inexact)
     if effect in STEP_EFFECTS:
-        planted = _met_by(case, effect, joint, size, since)
+        planted = met_by(case, effect, joint, size, since)
     else:
         planted = usual_effect(effect, robot, joint, rng, size, since)
     return replace(case, effects=(planted,))
 
 
-def _met_by(case: Case, effect: str, joint: str, size: float, since: float | None) -> Planted:
+def met_by(case: Case, effect: str, joint: str, size: float, since: float | None) -> Planted:
     """A saturation or an end stop that the trajectory reaches; a smaller size is met more rarely."""
     healthy, j = case.train(), _nominal(case.robot).index(joint)
     if effect == "torque_saturation":

@@ -16,7 +16,8 @@ from .robots import Robot
 
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")
 TOLD = ("q_ref", "theta_ref", "tau_ff")
-ALL_CHANNELS = (*MEASURED, "tau_m", *TOLD)
+ALL_CHANNELS = (*MEASURED, "tau_m", *TOLD)  # what a complete recording holds
+CURRENT = "tau_motor"  # the motor's torque as its current tells it, instead of a command
 
 DELAYED_WITH = {"q": "q", "dq": "q", "theta": "theta", "dtheta": "theta", "tau_t": "tau_t"}
 """The `channel` of sensor_delay that a measured channel follows."""
@@ -44,8 +45,9 @@ class SensorSet:
     ragged: Ragged | None = None
 
     def __post_init__(self) -> None:
-        if unknown := set(self.channels) - set(ALL_CHANNELS):
-            raise ValueError(f"unknown channels {sorted(unknown)}; there are {', '.join(ALL_CHANNELS)}")
+        if unknown := set(self.channels) - {*ALL_CHANNELS, CURRENT}:
+            valid = ", ".join((*ALL_CHANNELS, CURRENT))
+            raise ValueError(f"unknown channels {sorted(unknown)}; there are {valid}")
 
 
 FULL = SensorSet()
@@ -53,6 +55,7 @@ ENCODERS = SensorSet(channels=("q", "theta", "tau_m", *TOLD))
 MOTOR_ONLY = SensorSet(channels=("theta", "dtheta", "tau_m", *TOLD))
 NO_COMMAND = SensorSet(channels=(*MEASURED, *TOLD))
 LINK_SIDE = SensorSet(channels=("q", "dq", "tau_t", *TOLD))
+FROM_CURRENT = SensorSet(channels=(*MEASURED, CURRENT, *TOLD))
 RAGGED = SensorSet(ragged=Ragged())
 PERFECT = SensorSet(noise=dict.fromkeys(MEASURED, 0.0), resolution=0.0)
 
@@ -65,7 +68,14 @@ def robot_noise(name: str) -> dict[str, float]:
         rng.uniform(4e-3, 6e-3, 2),
         rng.uniform(0.04, 0.06),
     )
-    return {"q": position[0], "theta": position[1], "dq": velocity[0], "dtheta": velocity[1], "tau_t": torque}
+    return {
+        "q": position[0],
+        "theta": position[1],
+        "dq": velocity[0],
+        "dtheta": velocity[1],
+        "tau_t": torque,
+        CURRENT: torque,
+    }
 
 
 @dataclass(frozen=True)
@@ -106,7 +116,8 @@ class Sensors:
         self.effects = sorted((p for p in effects if p.effect in order), key=lambda p: order.index(p.effect))
         level = robot_noise(robot.name) if sensors.noise is None else sensors.noise
         self.noise = {
-            c: level.get(c, 0.0) * rng.standard_normal((ticks, len(robot.joints))) for c in MEASURED
+            c: level.get(c, 0.0) * rng.standard_normal((ticks, len(robot.joints)))
+            for c in (*MEASURED, CURRENT)
         }
 
     def clean(self, channel: str, motion: Motion, times: Array) -> Array:

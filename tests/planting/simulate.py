@@ -18,11 +18,11 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from .chain import Array, body_load, inverse_dynamics
-from .excitation import reference
+from .excitation import Reference, reference
 from .laws import Planted, check
 from .machine import Machine
 from .robots import Robot, deviating, read_robot
-from .sensing import MEASURED, TOLD, Motion, Sensors, SensorSet
+from .sensing import CURRENT, MEASURED, TOLD, Motion, Sensors, SensorSet
 
 STEP_RATE = 5000.0  # Hz, at least; events are located, so a finer step changes nothing above 1e-7 rad
 SETTLING = 0.5  # s of holding the first reference before the recording starts
@@ -63,7 +63,7 @@ class Recorded:
 def plant(
     robot_yaml: Path,
     effects: list[Planted],
-    excitation: str,
+    excitation: str | Reference,
     seconds: float,
     seed: int,
     sensors: SensorSet,
@@ -71,7 +71,8 @@ def plant(
     inexact: float = 0.0,
     plant_seed: int | None = None,
 ) -> Recorded:
-    """Record `seconds` at `rate` [Hz] of the robot with its planted effects.
+    """Record `seconds` at `rate` [Hz] of the robot with its planted effects, along a kind of excitation or a
+    given reference.
 
     `seed` draws the trajectory and the noise, `plant_seed` (default: seed) the deviations of the real
     machine, so that two recordings can share a machine. Raises ValueError on unknown names and on a rate
@@ -95,7 +96,9 @@ def plant(
 class _Told:
     """What the controller is told at every tick; arrays (ticks, n), tick 0 at -SETTLING."""
 
-    def __init__(self, nominal: Robot, excitation: str, seconds: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self, nominal: Robot, excitation: str | Reference, seconds: float, rng: np.random.Generator
+    ) -> None:
         dynamics = nominal_dynamics(nominal)
         n = len(nominal.joints)
 
@@ -103,7 +106,7 @@ class _Told:
             motors = nominal.motor_inertia * a + nominal.motor_damping * v
             return (dynamics(q, v, a) + motors) / nominal.torque_limit
 
-        follow = reference(excitation, n, seconds, demand, rng)
+        follow = reference(excitation, n, seconds, demand, rng) if isinstance(excitation, str) else excitation
         before = round(SETTLING * nominal.control_rate)
         self.times = (
             np.arange(before + round(seconds * nominal.control_rate)) - before
@@ -245,8 +248,10 @@ def _record(
 
     measured = {c: run.sensors.read(c, run.motion, sampled, ticks) for c in MEASURED}
     held = {"tau_m": run.tau_m, **{c: getattr(told, c) for c in TOLD}}
+    if CURRENT in sensors.channels:
+        measured[CURRENT] = _by_current(run, effects, sampled) + run.sensors.noise[CURRENT][ticks]
     columns = {"time": stamps}
-    for channel in (*MEASURED, "tau_m", *TOLD):
+    for channel in (*MEASURED, "tau_m", CURRENT, *TOLD):
         if channel in sensors.channels:
             rows = measured[channel] if channel in measured else held[channel][ticks]
             for j, joint in enumerate(joints):
@@ -259,3 +264,27 @@ def _record(
     true = {c: run.motion.at(c, grid) for c in MEASURED}
     true["tau"] = run.applied[np.round((sampled - run.motion.start) / run.motion.step).astype(int)]
     return Recorded(columns, tuple(effects), real, true)
+
+
+def _by_current(run: _Run, effects: list[Planted], times: Array) -> Array:
+    """(m, n) motor torque as the nominal torque constant makes it of the current, its mean over one control
+    period about each sample.
+
+    Delay and saturation act on the current, so that it shows them; a wrong torque constant and a stray
+    torque act behind it, and it does not.
+    """
+    robot, torque = run.sensors.robot, run.applied.copy()
+    at = run.motion.start + run.motion.step * np.arange(len(torque))
+    undone = {  # the last that acted is taken back first
+        "torque_offset": lambda p, tau: tau - p.value("offset"),
+        "torque_gain": lambda p, tau: tau / (1 + p.value("gain")),
+    }
+    for effect, undo in undone.items():
+        for p in effects:
+            if p.effect == effect:
+                j, on = robot.index(p.joint), at >= (-np.inf if p.since is None else p.since) - 1e-9
+                torque[:, j] = np.where(on, undo(p, torque[:, j]), torque[:, j])
+    impulse = np.vstack([np.zeros(torque.shape[1]), np.cumsum(torque[:-1], axis=0)]) * run.motion.step
+    half = 0.5 / robot.control_rate
+    ends = [np.array([np.interp(times + s * half, at, column) for column in impulse.T]).T for s in (1, -1)]
+    return (ends[0] - ends[1]) * robot.control_rate

@@ -17,7 +17,7 @@ from .robots import ROBOTS, read_robot
 from .sensing import PERFECT
 from .simulate import plant
 
-NAMES = ("lever", "turret", "crane", "gimbal", "reach")
+NAMES = ("lever", "turret", "crane", "gimbal", "scara", "reach")
 CRANE, GIMBAL = ROBOTS / "crane.yaml", ROBOTS / "gimbal.yaml"
 
 

@@ -13,7 +13,18 @@ from .by_hand import JOINT, LEVER
 from .cases import usual_effect
 from .laws import Planted
 from .robots import ROBOTS, deviating, read_robot
-from .sensing import ENCODERS, FULL, MOTOR_ONLY, NO_COMMAND, PERFECT, RAGGED, Ragged, robot_noise
+from .sensing import (
+    ENCODERS,
+    FROM_CURRENT,
+    FULL,
+    MEASURED,
+    MOTOR_ONLY,
+    NO_COMMAND,
+    PERFECT,
+    RAGGED,
+    Ragged,
+    robot_noise,
+)
 from .simulate import plant
 
 CRANE, GIMBAL = ROBOTS / "crane.yaml", ROBOTS / "gimbal.yaml"
@@ -92,7 +103,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_does_not():
 def test_noise_is_what_the_robot_draws():
     recorded = plant(LEVER, [], "slow", 4, 5, FULL)
     level = robot_noise("lever")
-    for j, c in enumerate(level):
+    for j, c in enumerate(MEASURED):
         error = recorded.columns[f"{c}.{JOINT}"] - recorded.true[c][:, 0]
         resolution = FULL.resolution if c in ("q", "theta") else 0.0
         expected = np.hypot(level[c], resolution / np.sqrt(12))
@@ -158,3 +169,19 @@ def test_tables_are_written_with_empty_cells(tmp_path):
     assert parquet[f"q.{JOINT}"].null_count == csv[f"q.{JOINT}"].null_count == missing
     with pytest.raises(ValueError, match=r"expected \.parquet or \.csv"):
         recorded.write(tmp_path / "r.mat")
+
+
+def test_a_current_shows_what_the_drive_does_and_not_what_lies_behind_it():
+    gain, limit = 0.2, 9.0
+    behind = [Planted("torque_gain", JOINT, {"gain": gain}), Planted("torque_offset", JOINT, {"offset": 3.0})]
+    clipped = [Planted("torque_saturation", JOINT, {"limit": limit})]
+    sensors = replace(FROM_CURRENT, noise=PERFECT.noise, resolution=0.0)
+    for effects, expected in (
+        (behind, lambda tau: (tau - 3.0) / (1 + gain)),
+        (clipped, lambda tau: np.clip(tau, -limit, limit)),
+    ):
+        recorded = plant(LEVER, effects, "steps", 3, 2, sensors, rate=1000)
+        assert "tau_m.swing" not in recorded.columns
+        per_tick = expected(recorded.true["tau"][:, 0])
+        mean = (per_tick[1:] + per_tick[:-1]) / 2  # over the half ticks before and after a sample
+        np.testing.assert_allclose(recorded.columns["tau_motor.swing"][1:], mean, atol=1e-9)

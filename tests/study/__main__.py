@@ -1,0 +1,56 @@
+"""Run the study, or write its tables; from the checkout:
+
+PYTHONPATH=tests:. python -m study run   --out FOLDER [--shard 1/2] [--jobs 2] [--part single] [--every 10]
+PYTHONPATH=tests:. python -m study table --out FOLDER [--page docs/diagnosis_study.md]
+PYTHONPATH=tests:. python -m study misses --out FOLDER
+"""
+
+import argparse
+from pathlib import Path
+
+from .cases import COUNTS
+from .page import markdown, misses
+from .run import records, run
+
+
+def shard(text: str) -> tuple[int, int]:
+    index, _, count = text.partition("/")
+    if not (index.isdigit() and count.isdigit() and 1 <= int(index) <= int(count)):
+        raise argparse.ArgumentTypeError(f"expected i/n with i from 1 to n, e.g. 1/2; got {text!r}")
+    return int(index), int(count)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    commands = parser.add_subparsers(required=True, dest="command")
+    for name in ("run", "table", "misses"):
+        command = commands.add_parser(name)
+        command.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+        if name == "run":
+            command.add_argument("--shard", type=shard, default=(1, 1), metavar="i/n")
+            command.add_argument("--jobs", type=int, help="processes, default one a core")
+            command.add_argument("--part", nargs="+", choices=list(COUNTS), default=list(COUNTS))
+            command.add_argument("--every", type=int, default=1, help="only every n-th case of a part")
+        if name == "table":
+            command.add_argument(
+                "--page", type=Path, metavar="PAGE.md", help="write there, not to the screen"
+            )
+    given = parser.parse_args()
+    if given.command == "run":
+        try:
+            run(given.out, given.shard, given.jobs, given.part, given.every)
+        except ValueError as error:
+            parser.exit(2, f"study: {error}\n")
+        return
+    found = records(given.out)
+    if not found:
+        parser.exit(2, f"study: no results in {given.out}; run the study first\n")
+    text = misses(found) if given.command == "misses" else markdown(found)
+    if given.command == "table" and given.page is not None:
+        given.page.write_text(text, encoding="utf-8")
+    else:
+        print(text, end="")
+
+
+if __name__ == "__main__":  # worker processes import this module, too
+    main()

@@ -1,0 +1,241 @@
+"""What the study plants: every case a function of its part and its number, so that shards need no list.
+
+- single: every effect of the generator, sizes from the usual one down to a fiftieth of it
+- double: two causes on one machine
+- healthy: nothing
+- struck: one cause, with its effect (and those that contain it) taken out of the product's catalogue
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from zlib import crc32
+
+import numpy as np
+from planting import (
+    CATALOGUE,
+    ENCODERS,
+    FROM_CURRENT,
+    FULL,
+    LINK_SIDE,
+    MOTOR_ONLY,
+    NO_COMMAND,
+    RAGGED,
+    ROBOTS,
+    Planted,
+    SensorSet,
+    read_robot,
+)
+from planting.cases import INEXACT, STEP_EFFECTS, Case, met_by, usual_effect, usual_excitation
+from planting.laws import DRY_MOTOR
+
+EFFECTS = tuple(CATALOGUE)
+PER_EFFECT = {"single": 12, "struck": 4}
+COUNTS = {"single": 12 * len(EFFECTS), "double": 140, "healthy": 1000, "struck": 4 * len(EFFECTS)}
+SMALLEST = 0.02  # of the usual size: most effects are then below the noise
+
+ROBOT_SHARES = {"lever": 0.2, "turret": 0.18, "crane": 0.24, "scara": 0.16, "gimbal": 0.18, "reach": 0.04}
+EXCITATIONS = ("rich", "slow", "steps")
+USUAL_EXCITATION = 0.6  # share of cases under the excitation that shows their effect well
+RATES = {500.0: 0.7, 250.0: 0.15, 1000.0: 0.15}  # Hz; the controllers tick at 1000 Hz
+LARGE_RATE = 500.0  # Hz at most for the robot of seven joints
+SECONDS = (8.0, 12.0)
+LATE = 0.08  # share of single causes that set in during the recording
+SINGLE_STRUCK_SIZE = (0.25, 1.0)
+DOUBLE_SIZE = (0.2, 1.0)
+OFFSET = 0.02  # rad, of encoder offsets that nobody knows
+
+SENSORS: dict[str, SensorSet] = {
+    name: replace(sensors, noisy_feedback=False)  # the command is smooth between two recorded samples
+    for name, sensors in {
+        "full": FULL,
+        "no torque sensor": ENCODERS,
+        "motor side only": MOTOR_ONLY,
+        "link side only": LINK_SIDE,
+        "no command": NO_COMMAND,
+        "torque from current": FROM_CURRENT,
+        "ragged time": RAGGED,
+        "unknown offsets": FULL,
+    }.items()
+} | {"noisy feedback": FULL}
+SENSOR_SHARES = {
+    "full": 0.34,
+    "no torque sensor": 0.12,
+    "motor side only": 0.07,
+    "link side only": 0.05,
+    "no command": 0.08,
+    "torque from current": 0.1,
+    "ragged time": 0.1,
+    "unknown offsets": 0.06,
+    "noisy feedback": 0.08,
+}
+
+TORQUE_SENSOR = {"torque_sensor_offset", "torque_sensor_gain"}
+LINK_EFFECTS = {
+    "payload",
+    "base_tilt",
+    "link_coulomb_friction",
+    "link_viscous_friction",
+    "cable_spring",
+    "end_stop",
+}
+MOTOR_EFFECTS = {
+    "torque_gain",
+    "torque_offset",
+    "torque_saturation",
+    "cogging",
+    "motor_inertia",
+    "motor_viscous_friction",
+    *DRY_MOTOR,
+}
+ENCODER_CONSTANTS = {"link_encoder_offset", "motor_encoder_offset", "spring_preload"}
+SHOWN: dict[str, set[str]] = {
+    "no torque sensor": set(EFFECTS) - TORQUE_SENSOR,
+    "motor side only": MOTOR_EFFECTS | {"payload"},
+    "link side only": LINK_EFFECTS,
+    "torque from current": set(EFFECTS) - {"torque_delay", "torque_saturation"},  # the current shows them
+    "unknown offsets": set(EFFECTS) - ENCODER_CONSTANTS,
+}
+"""Effects that leave a mark of their own in what a set of sensors records (default: all)."""
+
+TWINS = (ENCODER_CONSTANTS, {"torque_delay", "sensor_delay"}, {"torque_gain", "torque_sensor_gain"})
+"""Effects that would be told apart badly beside each other on one joint."""
+
+
+@dataclass(frozen=True)
+class StudyCase:
+    """One recording to be and how it is to be diagnosed."""
+
+    part: str
+    number: int
+    case: Case  # its effects are what there is to find
+    sensors: str
+    size: float  # of the usual one
+    excluded: tuple[str, ...] = ()
+    hidden: tuple[Planted, ...] = ()  # what the robot file declares as unknown: no cause
+
+    @property
+    def name(self) -> str:
+        return f"{self.part}-{self.number:04d}"
+
+
+def make(part: str, number: int) -> StudyCase:
+    """The case; raises ValueError when there is none."""
+    makers = {"single": _single, "double": _double, "healthy": _healthy, "struck": _struck}
+    if part not in makers:
+        raise ValueError(f"unknown part {part!r}; there are {', '.join(makers)}")
+    if not 0 <= number < COUNTS[part]:
+        raise ValueError(f"{part} has cases 0 to {COUNTS[part] - 1}, got {number}")
+    return makers[part](number, np.random.default_rng([crc32(part.encode()), number]))
+
+
+def _single(number: int, rng: np.random.Generator, part: str = "single") -> StudyCase:
+    repeats = PER_EFFECT[part]
+    effect, repeat = EFFECTS[number // repeats], number % repeats
+    if part == "single":
+        size = float(SMALLEST ** ((repeat + rng.random()) / repeats))  # evenly in the logarithm
+        sensors = _drawn(SENSOR_SHARES, rng, lambda name: effect in SHOWN.get(name, EFFECTS))
+        late = rng.random() < LATE and effect != "friction_drift"  # which is a change in time by itself
+    else:
+        size, sensors, late = float(rng.uniform(*SINGLE_STRUCK_SIZE)), "full", False
+    robot = _drawn(ROBOT_SHARES, rng, lambda name: _sits_on(effect, name))
+    joints = read_robot(ROBOTS / f"{robot}.yaml").joints
+    joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))
+    usual = rng.random() < USUAL_EXCITATION
+    excitation = usual_excitation(effect) if usual else str(rng.choice(EXCITATIONS))
+    case = _case(part, number, robot, excitation, sensors, rng)
+    since = round(float(rng.uniform(0.35, 0.65)) * case.seconds, 2) if late else None
+    if effect in STEP_EFFECTS:
+        planted = met_by(case, effect, joint, size, since)
+    else:
+        planted = usual_effect(effect, robot, joint, rng, size, since)
+    return _with(part, number, case, (planted,), sensors, size, rng)
+
+
+def _struck(number: int, rng: np.random.Generator) -> StudyCase:
+    case = _single(number, rng, "struck")
+    return replace(case, excluded=(case.case.effects[0].effect,))
+
+
+def _double(number: int, rng: np.random.Generator) -> StudyCase:
+    robot = _drawn(ROBOT_SHARES, rng)
+    joints = read_robot(ROBOTS / f"{robot}.yaml").joints
+    size = float(np.exp(rng.uniform(*np.log(DOUBLE_SIZE))))
+    sensors = _drawn({k: SENSOR_SHARES[k] for k in ("full", "no torque sensor", "ragged time")}, rng)
+    pool = [
+        e
+        for e in EFFECTS
+        if e not in STEP_EFFECTS and e in SHOWN.get(sensors, EFFECTS) and _sits_on(e, robot)
+    ]
+    while True:
+        first, second = (str(e) for e in rng.choice(pool, 2, replace=False))
+        places = rng.permutation(joints) if rng.random() < 0.7 else [str(rng.choice(joints))] * 2
+        at = [str(places[k % len(places)]) for k in range(2)]
+        related = any({first, second} <= set(group) for group in (*TWINS, DRY_MOTOR))
+        vertical = any(
+            e == "payload" and j == joints[0] != joints[-1] for e, j in zip((first, second), at, strict=True)
+        )
+        if not vertical and not (related and at[0] == at[1]):
+            break
+    excitation = str(rng.choice(["rich", "rich", usual_excitation(first), usual_excitation(second)]))
+    planted = tuple(usual_effect(e, robot, j, rng, size) for e, j in zip((first, second), at, strict=True))
+    case = _case("double", number, robot, excitation, sensors, rng)
+    return _with("double", number, case, planted, sensors, size, rng)
+
+
+def _healthy(number: int, rng: np.random.Generator) -> StudyCase:
+    robot = _drawn(ROBOT_SHARES, rng)
+    sensors = _drawn(SENSOR_SHARES, rng)
+    case = _case("healthy", number, robot, EXCITATIONS[number % 3], sensors, rng)
+    return _with("healthy", number, case, (), sensors, 0.0, rng)
+
+
+def _case(
+    part: str, number: int, robot: str, excitation: str, sensors: str, rng: np.random.Generator
+) -> Case:
+    """Machine and motion: half of the nominal models are off by 2 %, the others are exact, most of them
+    with tolerances that say so."""
+    kind = rng.choice(["off", "exact", "exact, 2 % claimed"], p=[0.5, 0.35, 0.15])
+    large = robot == "reach"  # seven joints: short and not faster than 500 Hz, for the study's duration
+    case = Case(
+        f"{part}-{number:04d}",
+        f"{robot}_exact" if kind == "exact" else robot,
+        excitation,
+        (),
+        int(rng.integers(1, 2**30)),
+        SENSORS[sensors],
+        INEXACT if kind == "off" else 0.0,
+        round(float(rng.uniform(*SECONDS)), 1) if not large else SECONDS[0],
+        float(rng.choice(list(RATES), p=list(RATES.values()))),
+    )
+    return replace(case, rate=min(case.rate, LARGE_RATE)) if large else case
+
+
+def _with(
+    part: str,
+    number: int,
+    case: Case,
+    planted: tuple[Planted, ...],
+    sensors: str,
+    size: float,
+    rng: np.random.Generator,
+) -> StudyCase:
+    hidden: tuple[Planted, ...] = ()
+    if sensors == "unknown offsets":
+        hidden = tuple(
+            Planted(effect, joint, {"offset": round(float(rng.uniform(-OFFSET, OFFSET)), 5)})
+            for joint in read_robot(ROBOTS / f"{case.robot}.yaml").joints
+            for effect in ("link_encoder_offset", "motor_encoder_offset")
+        )
+    return StudyCase(part, number, replace(case, effects=planted), sensors, round(size, 4), (), hidden)
+
+
+def _sits_on(effect: str, robot: str) -> bool:
+    """A payload on a vertical axis shows its inertia only, not its mass."""
+    return not (effect == "payload" and robot == "turret")
+
+
+def _drawn(shares: dict[str, float], rng: np.random.Generator, allowed=lambda _name: True) -> str:
+    names = [name for name in shares if allowed(name)]
+    weights = np.array([shares[name] for name in names])
+    return str(rng.choice(names, p=weights / weights.sum()))

@@ -1,0 +1,198 @@
+"""The study counts what it says it counts, goes on where it was stopped, and its fixed sample holds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from planting import CATALOGUE
+from study import run as study_run
+from study import summary
+from study.cases import COUNTS, SENSORS, make
+from study.page import markdown, misses
+from study.run import Range, diagnosed, ranges, records, write_range
+from study.score import detectable, outcome, struck_outcome
+from study.summary import Rate
+
+# a fixed sample of the cases of `make study`: what every change must keep
+NAMED = (("single", 37), ("single", 148), ("single", 185), ("single", 333), ("double", 0))
+HEALTHY = (0, 1, 2, 3)
+STRUCK = (74,)
+
+
+# --- judging one case -------------------------------------------------------------------------------------
+def finding(effect: str, joint: str | None = "swing", value: float = 2.0, **more: Any) -> dict[str, Any]:
+    parameters = {"level": {"value": [value], "std": [0.01]}}
+    return {
+        "effect": effect, "joint": joint, "probability": 0.99, "parameters": parameters, "since": None,
+        "ties": [], **more,
+    }  # fmt: skip
+
+
+def record(*findings: dict[str, Any], verdict: str = "causes", **more: Any) -> dict[str, Any]:
+    truth = {
+        "effect": "motor_coulomb_friction", "joint": "swing", "parameters": {"level": 2.0}, "since": None
+    }  # fmt: skip
+    return {"verdict": verdict, "findings": list(findings), "truth": [truth], "joints": 1, **more}
+
+
+COULOMB = finding("motor_coulomb_friction")
+OTHER = finding("torque_gain")
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (record(COULOMB), "exact"),
+        (record(finding("motor_coulomb_friction", value=2.1)), "exact"),
+        (record(finding("motor_coulomb_friction", value=2.3)), "inaccurate"),
+        (record(finding("motor_coulomb_friction", since=3.0)), "inaccurate"),
+        (record(finding("torque_gain", ties=[["motor_coulomb_friction", "swing"]])), "tied"),
+        (record(COULOMB, OTHER), "partial"),
+        (record(COULOMB, verdict="unexplained"), "partial"),
+        (record(OTHER), "wrong"),
+        (record(finding("motor_coulomb_friction", "elbow")), "wrong"),
+        (record(OTHER, verdict="unexplained"), "unexplained"),
+        (record(verdict="healthy"), "healthy"),
+        (record(verdict="refused"), "refused"),
+        (record(verdict="crash"), "failed"),
+    ],
+)
+def test_a_case_is_judged(found: dict[str, Any], expected: str) -> None:
+    assert outcome(found) == expected
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (record(verdict="unexplained"), "unexplained"),
+        (record(OTHER), "wrong"),
+        (record(finding("torque_gain", probability=0.5)), "unsure"),
+        (record(OTHER, verdict="unexplained"), "unexplained"),
+        (record(verdict="healthy"), "healthy"),
+    ],
+)
+def test_a_struck_case_is_judged(found: dict[str, Any], expected: str) -> None:
+    assert struck_outcome(found) == expected
+
+
+def test_equivalents_are_no_wrong_names() -> None:
+    twist = {"effect": "spring_preload", "joint": "swing", "parameters": {"torque": 2.0}, "since": None}
+    case = {**record(finding("link_encoder_offset")), "truth": [twist]}
+    assert struck_outcome(case) == "equivalent"
+    assert outcome(case) == "partial"  # with the true effect in the catalogue it had to be listed
+
+
+# --- counting ---------------------------------------------------------------------------------------------
+def test_intervals_are_the_exact_binomial_ones() -> None:
+    low, high = Rate(0, 300).interval
+    assert low == 0.0 and high == pytest.approx(1 - 0.025 ** (1 / 300))  # P(0 of 300) = (1 - p)^300
+    low, high = Rate(1, 2).interval
+    assert (low, high) == pytest.approx((1 - 0.975**0.5, 0.975**0.5))  # P(at least 1 of 2) = 1 - (1 - p)^2
+
+
+def test_probabilities_are_held_against_the_truth() -> None:
+    cases = [record(COULOMB), record(OTHER), record(finding("torque_gain", probability=0.1))]
+    (*_, last) = summary.reliability(cases)
+    assert (last[2], last[4].hits) == (2, 1)
+    assert summary.brier(cases) == pytest.approx((0.01**2 + 0.99**2 + 0.1**2) / 3)
+
+
+def test_errors_are_measured_in_standard_errors() -> None:
+    case = record(finding("motor_coulomb_friction", value=2.02))
+    assert summary.scaled_errors([case]) == pytest.approx([2.0])
+    assert summary.relative_errors([case]) == pytest.approx([0.01])
+
+
+# --- cases ------------------------------------------------------------------------------------------------
+def test_cases_are_drawn_from_their_number_alone() -> None:
+    for part in ("single", "double", "healthy", "struck"):
+        assert make(part, 7) == make(part, 7) != make(part, 6)
+    with pytest.raises(ValueError, match="unknown part"):
+        make("triple", 0)
+    with pytest.raises(ValueError, match="0 to 999"):
+        make("healthy", 1000)
+
+
+def test_the_plan_covers_what_the_study_claims() -> None:
+    assert COUNTS["single"] + COUNTS["double"] >= 500 and COUNTS["healthy"] >= 1000
+    step_effects = [
+        list(CATALOGUE).index(e) for e in ("torque_saturation", "end_stop")
+    ]  # planted to be sized
+    quick = [n for n in range(COUNTS["single"]) if n // 12 not in step_effects]
+    cases = [make("single", n) for n in quick]
+    assert {c.case.effects[0].effect for c in cases} == set(CATALOGUE) - {"torque_saturation", "end_stop"}
+    assert {c.sensors for c in cases} == set(SENSORS)
+    robots = {c.case.robot.removesuffix("_exact") for c in cases}
+    assert robots == {"lever", "turret", "crane", "scara", "gimbal", "reach"}
+    assert {c.case.excitation for c in cases} == {"rich", "slow", "steps"}
+    assert {c.case.inexact for c in cases} == {0.0, 0.02}
+    sizes = [c.size for c in cases]
+    assert min(sizes) < 0.03 and max(sizes) > 0.95
+    assert all(set(c.excluded) == {c.case.effects[0].effect} for c in (make("struck", n) for n in range(8)))
+
+
+# --- running ----------------------------------------------------------------------------------------------
+def test_shards_are_disjoint_and_complete() -> None:
+    every = list(ranges(tuple(COUNTS)))
+    numbers = [(r.part, n) for r in every for n in r.numbers]
+    assert len(numbers) == len(set(numbers)) == sum(COUNTS.values())
+    assert len({r.file for r in every}) == len(every)
+
+
+def test_a_stopped_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[int] = []
+
+    def stub(case: Any) -> dict[str, Any]:
+        done.append(case.number)
+        return {**record(COULOMB), "part": case.part, "number": case.number, "excess": 2.0, "diagnosis": 1.0}
+
+    class InThisProcess:
+        def __init__(self, *_: Any, max_tasks_per_child: int) -> None: ...
+        def __enter__(self) -> InThisProcess:
+            return self
+
+        def __exit__(self, *_: Any) -> None: ...
+        def submit(self, function: Any, *arguments: Any) -> Any:
+            from concurrent.futures import Future
+
+            future: Future[float] = Future()
+            future.set_result(function(*arguments))
+            return future
+
+    monkeypatch.setattr(study_run, "diagnosed", stub)
+    monkeypatch.setattr(study_run, "ProcessPoolExecutor", InThisProcess)
+    write_range(tmp_path, Range("double", range(10)))
+    study_run.run(tmp_path, parts=("double",), shard=(1, 2))
+    assert sorted(done) == [n for n in range(COUNTS["double"]) if n // 10 % 2 == 0]  # the first range once
+    study_run.run(tmp_path, parts=("double",), shard=(2, 2))
+    assert [r["number"] for r in records(tmp_path)] == list(range(COUNTS["double"]))
+
+    other = json.dumps({**records(tmp_path)[0], "version": "another"})
+    (tmp_path / "double-9.jsonl").write_text(other)
+    with pytest.raises(ValueError, match="use another folder"):
+        study_run.run(tmp_path, parts=("double",))
+
+
+# --- the sample -------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("part", "number"), NAMED)
+def test_planted_causes_are_named(part: str, number: int) -> None:
+    found = diagnosed(make(part, number))
+    assert detectable(found)
+    assert outcome(found) in ("exact", "tied"), misses([found])
+
+
+@pytest.mark.parametrize("number", HEALTHY)
+def test_healthy_machines_are_left_alone(number: int) -> None:
+    found = diagnosed(make("healthy", number))
+    assert not summary.alarmed(found), misses([found])
+
+
+@pytest.mark.parametrize("number", STRUCK)
+def test_a_struck_cause_gets_no_confident_wrong_name(number: int) -> None:
+    found = diagnosed(make("struck", number))
+    assert struck_outcome(found) != "wrong", misses([found])
+    page = markdown([{**found, "version": "now"}])
+    assert found["truth"][0]["effect"] in page and "struck" in page
