@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from flexjoint import cli_paper, cli_robot, cli_view
 from flexjoint.errors import FlexJointError
@@ -106,6 +106,27 @@ def _parser() -> argparse.ArgumentParser:
     )
     simulate.set_defaults(run=_simulate)
 
+    _add_theta_d(commands)
+    cli_view.add(commands)
+
+    _add_plan(commands)
+
+    demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
+    demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
+    demo.set_defaults(run=_demo)
+
+    robots = commands.add_parser("robots", help="list the robots that come with flexjoint")
+    robots.set_defaults(run=_robots)
+
+    effects = commands.add_parser("effects", help="list the physical effects it knows")
+    effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
+    effects.set_defaults(run=_effects)
+
+    cli_paper.add(commands)
+    return parser
+
+
+def _add_theta_d(commands: Any) -> None:
     theta_d = commands.add_parser("theta-d", help="motor positions and torques that hold given poses")
     theta_d.add_argument("poses", type=Path, metavar="POSES", help="CSV or Parquet table with q.<joint>")
     cli_robot.add_arguments(theta_d)
@@ -122,8 +143,8 @@ def _parser() -> argparse.ArgumentParser:
     theta_d.add_argument("--details", action="store_true", help="write g.<joint> and phi.<joint>, too")
     theta_d.set_defaults(run=_theta_d)
 
-    cli_view.add(commands)
 
+def _add_plan(commands: Any) -> None:
     plan = commands.add_parser("plan", help="design the recording that decides what a diagnosis left open")
     cli_robot.add_arguments(plan)
     plan.add_argument("--diagnosis", type=Path, metavar="D.json", help="break its ties (`diagnose --json`)")
@@ -136,20 +157,6 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--seed", type=int, default=1, help="of the search for a motion, default 1")
     plan.add_argument("--quiet", action="store_true", help="print nothing")
     plan.set_defaults(run=_plan)
-
-    demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
-    demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
-    demo.set_defaults(run=_demo)
-
-    robots = commands.add_parser("robots", help="list the robots that come with flexjoint")
-    robots.set_defaults(run=_robots)
-
-    effects = commands.add_parser("effects", help="list the physical effects it knows")
-    effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
-    effects.set_defaults(run=_effects)
-
-    cli_paper.add(commands)
-    return parser
 
 
 def _version() -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from flexjoint import cli_outputs, planning, recording, cli_robot
+from flexjoint import cli_outputs, cli_robot, planning, recording
 from flexjoint.errors import FlexJointError
 from flexjoint.planning import DECISIVE, Outlook, Plan
 from flexjoint.planning.limits import REACH, SECONDS

@@ -18,6 +18,7 @@ from flexjoint.effect import plan
 from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import ModelError, UnknownNameError
 from flexjoint.model import FlexibleJointModel
+from flexjoint.robot_description import example_robot_data
 
 MASS = 117.11808198  # kg, of CENTAURO's URDF
 WEIGHT = 9.81 * MASS
@@ -150,7 +151,7 @@ def test_a_flat_foot_carries_moments() -> None:
 def test_talos_stands_on_two_flat_feet() -> None:
     """All its joints actuated; each foot carries force and moment, together the weight."""
     urdf = "package://example-robot-data/robots/talos_data/robots/talos_full_v2.urdf"
-    path = robot.example_robot_data() / urdf.removeprefix("package://")
+    path = example_robot_data() / urdf.removeprefix("package://")
     rigid = pin.buildModelFromUrdf(str(path))
     drive = {"stiffness": 1e4, "motor_inertia": 0.5}
     file = {"name": "talos", "urdf": urdf, "base": "floating", "joints": {n: drive for n in rigid.names[1:]}}

@@ -12,7 +12,7 @@ from flexjoint.errors import RecordingError
 from flexjoint.recording import Recording
 
 SOFT = Planted("spring_stiffness", "elbow", {"scale": -0.12})
-SOFTER = Planted("spring_stiffness", "elbow", {"scale": -0.18})
+SOFTER = Planted("spring_stiffness", "elbow", {"scale": -0.3})
 
 
 def planted(seed: int, *causes: Planted) -> Recording:
@@ -42,8 +42,8 @@ def test_recordings_that_disagree_say_so() -> None:
     assert [(f.effect, f.joint) for f in both.findings] == [("spring_stiffness", "elbow")], summary(both)
     assert any(note.startswith("the recordings disagree on scale") for note in both.notes), both.notes
     # the number lies between, and is not known better than the recordings agree
-    assert -0.185 < scale(both.findings[0]).value < -0.115
-    assert scale(both.findings[0]).std > 0.01
+    assert -0.3 < scale(both.findings[0]).value < -0.12
+    assert scale(both.findings[0]).std > 0.03
 
 
 def test_healthy_recordings_stay_healthy_together() -> None:
@@ -53,5 +53,5 @@ def test_healthy_recordings_stay_healthy_together() -> None:
 
 def test_a_recording_that_cannot_be_used_is_named() -> None:
     good = planted(33)
-    with pytest.raises(RecordingError, match=r"crane-rich-33 cannot be diagnosed together.*usable data"):
+    with pytest.raises(RecordingError, match=r"33\[0:0.6\] cannot be diagnosed together.*usable data"):
         diagnose(nominal("crane"), [good, good.between(0.0, 0.6)])

@@ -5,16 +5,17 @@ recording -> readings -> motion -> balances -> whitening -> selection -> verdict
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from flexjoint.diagnose import held_out, leftover, verdict
 from flexjoint.diagnose.balances import Balances
-from flexjoint.diagnose.candidates import enumerate_candidates
+from flexjoint.diagnose.candidates import STILL, enumerate_candidates
 from flexjoint.diagnose.experiment import advice
 from flexjoint.diagnose.selection import Selection, select
 from flexjoint.diagnose.together import combine
+from flexjoint.diagnose.verdict import Errors, Key
 from flexjoint.diagnose.workspace import Workspace, balances_of
 from flexjoint.diagnosis import Diagnosis
 from flexjoint.effect import catalogue
@@ -24,7 +25,6 @@ from flexjoint.robot import Robot
 
 EXPLAINED = 0.9  # of the error above noise, below which the causes found are not the whole story
 SHORTEST = 1.0  # s of usable data
-STILL = 20.0  # encoder noises that a joint must move, for anything to be said
 
 Progress = Callable[[float, str], None]
 
@@ -66,7 +66,7 @@ def diagnose(
     share = 0.92 / len(recordings)
     selection = select(workspace, candidates, _part(report, 0.0, share))
     selection, notes = verdict.sure(selection)
-    spread = None
+    spread: Mapping[Key, Errors] = {}
     if len(recordings) > 1:
         others = [
             _searched(robot, other, excluded, _part(report, k * share, share))
@@ -75,16 +75,22 @@ def diagnose(
         together = combine([selection, *others])
         selection, spread, notes = together.selection, together.errors, notes + together.notes
     report(0.92, "measuring the gain on held-out data")
-    chosen = selection.best.effects
     selection, measured, worse = held_out.confirmed(robot, recording, workspace, selection)
-    if spread is not None:
-        spread = [errors for e, errors in zip(chosen, spread, strict=True) if e in selection.best.effects]
-    best = selection.best
-    residuals = leftover.views(best, selection.nothing)
-    left = leftover.unexplained(best, residuals)
-    explained = leftover.explained(best, residuals)
-    gains = held_out.gains(workspace, best, selection.nothing)
-    found = verdict.findings(selection, gains, explained, spread)
+    notes += worse
+    while True:
+        best = selection.best
+        residuals = leftover.views(best, selection.nothing)
+        left = leftover.unexplained(best, residuals)
+        explained = leftover.explained(best, residuals)
+        gains = held_out.gains(workspace, best, selection.nothing)
+        found = verdict.findings(selection, gains, explained, spread)
+        doubtful = verdict.improbable(found)
+        if not doubtful:
+            break
+        for finding in doubtful:
+            selection = verdict.without(selection, finding.planned)
+            notes += (f"something like {finding.planned} would help, but others fit as well: not named",)
+        measured = held_out.comparison(robot, recording, workspace, selection.best)
     found = verdict.merged(found, candidates)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)
@@ -101,7 +107,7 @@ def diagnose(
         ranking=verdict.ranking(selection),
         residuals=residuals,
         explained=explained,
-        notes=notes + worse,
+        notes=notes,
         energy=(
             float(np.mean(selection.nothing.workspace.temper)),
             float(np.mean(best.workspace.temper)),

@@ -14,6 +14,7 @@ from flexjoint.diagnose.balances import LINK, MOTOR, SPRING
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Effect, Param, Planned, Site, catalogue
 
+STILL = 20.0  # encoder noises that a joint must move, to show anything
 TRIAL_SHARE = 0.05  # of the joint's torque: size at which a trace is taken
 
 
@@ -117,10 +118,23 @@ def _sensed(workspace: Workspace, candidate: Candidate, i: int, rows: set[str]) 
         "theta": bool(np.isfinite(workspace.readings.theta[i, 0])),
         "tau_t": SPRING in rows,
     }
+    if not _moves(workspace, i) and (
+        candidate.effect.overrides("delay") or any(p.wraps for p in candidate.effect.params)
+    ):
+        return False
     concerned = [c for c in candidate.effect.channels(candidate.planned({}).p) if c in readings]
     if candidate.words and len(concerned) > 1:  # "all of the joint" needs more than one sensor to differ
         return sum(readings[c] for c in concerned) > 1
     return any(readings[c] for c in concerned)
+
+
+def _moves(workspace: Workspace, i: int) -> bool:
+    """Whether a joint's position changes by more than its sensors' noise."""
+    used, noise = workspace.readings.valid, workspace.readings.noise
+    return any(
+        float(np.ptp(signal[i][used])) > STILL * max(float(noise[name][i]), 1e-9)
+        for name, signal in (("q", workspace.motion.q), ("theta", workspace.motion.theta))
+    )
 
 
 def traces(workspace: Workspace, candidate: Candidate, base: Sequence[Planned], y: np.ndarray) -> list[Trace]:

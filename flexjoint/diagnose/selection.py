@@ -116,8 +116,18 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
     enough = max(PROMISING * most, RIVALLING * min(needed, most), 1.0)
     for scored in scanned[:POLISHED]:
         if scored.removes >= enough:
-            out.append(fit(current.workspace, [*current.effects, scored.planned()]))
+            fitted = fit(current.workspace, [*current.effects, scored.planned()])
+            if not degenerate(fitted.effects[-1]):
+                out.append(fitted)
     return out
+
+
+def degenerate(planned: Planned) -> bool:
+    """Whether a law with simpler special cases has shrunk to one of them: a shape parameter at its bound."""
+    shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
+    return bool(planned.effect.contains) and any(
+        np.isclose(planned.values[p.name], (p.low, p.high), rtol=1e-6, atol=0.0).any() for p in shapes
+    )
 
 
 def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:

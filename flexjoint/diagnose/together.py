@@ -4,7 +4,8 @@ Every recording is searched by itself. What they propose, their chosen sets and 
 then fitted to each of them; near its own optimum p_i a recording's energy is a parabola with curvature N_i,
 so the numbers for all are p = (sum N_i)^-1 sum N_i p_i, and the set's energy is the sum of what each
 recording has to say against p. The price of a set is paid once: a cause that only one recording wants must
-earn it from that one alone, and two that tie in one are parted by another.
+earn it from that one alone, and two that tie in one are parted by another. Where the recordings do not
+agree on the numbers, each may have its own, at their price: that is said, and the standard errors grow.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexjoint.diagnose.fit import Fit, fit, normal_equations
-from flexjoint.diagnose.selection import Selection, price, score
+from flexjoint.diagnose.selection import PRICE_NUMBER, Selection, price, score
 from flexjoint.effect import Planned
 
 DISAGREE = 3.5  # standard errors by which a recording's own number may differ from the common one
-Key = frozenset[tuple[object, ...]]
+Names = frozenset[tuple[object, ...]]
 
 
 @dataclass(frozen=True)
 class Together:
-    """The common set as the first recording sees it, standard errors of its numbers from all recordings
-    (one dict of arrays per effect), and what is to be said about it."""
+    """The common set as the first recording sees it, standard errors of its numbers from all recordings, by
+    effect and parameter, and what is to be said about it."""
 
     selection: Selection
-    errors: list[dict[str, list[float]]]
+    errors: dict[tuple[str, str | None], dict[str, list[float]]]
     notes: tuple[str, ...]
 
 
@@ -69,17 +70,17 @@ def combine(selections: Sequence[Selection]) -> Together:
         for effect in best.effects
     ) + tuple(first.rivals[first.best.effects.index(e)] for e in dated)
     selection = replace(first, best=chosen, rivals=tuple(tuple(sorted(r, key=score)) for r in rivals))
-    return Together(selection, _errors(best, chosen), _notes(best))
+    return Together(selection, _errors(best), _notes(best))
 
 
 def _identity(effect: Planned) -> tuple[object, ...]:
     return (*effect.key, *(effect.values.get(w.name) for w in effect.effect.words))
 
 
-def _proposals(selections: Sequence[Selection]) -> dict[Key, tuple[Planned, ...]]:
+def _proposals(selections: Sequence[Selection]) -> dict[Names, tuple[Planned, ...]]:
     """Sets by what they hold, with values to start from: nothing, each recording's own set, the union of
     all, what all share, and every set with a rival in the place of a cause."""
-    out: dict[Key, tuple[Planned, ...]] = {}
+    out: dict[Names, tuple[Planned, ...]] = {}
 
     def propose(effects: Sequence[Planned]) -> None:
         lasting = {_identity(e): e for e in effects if e.since is None}
@@ -126,11 +127,13 @@ def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _J
     for slot, number in zip(slots, numbers, strict=True):
         slot.put(common, float(np.clip(number, slot.param.low, slot.param.high)))
     energy = sum(fit(s.best.workspace, common, iterations=0).energy for s in selections)
+    apart = sum(f.energy for f in fits) + PRICE_NUMBER * len(slots) * (len(selections) - 1)
+    energy = min(energy, apart)
     return _Joint(tuple(common), float(energy), tuple(fits), tuple(normals), numbers)
 
 
 def _with_another(
-    best: _Joint, best_key: Key, effect: Planned, joints: dict[Key, _Joint]
+    best: _Joint, best_key: Names, effect: Planned, joints: dict[Names, _Joint]
 ) -> list[tuple[list[Planned], _Joint]]:
     """The fitted sets that hold another cause in the place of one."""
     kept = best_key - {_identity(effect)}
@@ -145,9 +148,9 @@ def _other(kept: Sequence[Planned], joint: _Joint) -> Planned:
     return next(e for e in joint.effects if e not in kept)
 
 
-def _errors(best: _Joint, chosen: Fit) -> list[dict[str, list[float]]]:
+def _errors(best: _Joint) -> dict[tuple[str, str | None], dict[str, list[float]]]:
     """Standard errors from all recordings' curvature, widened where the recordings disagree by more."""
-    out: list[dict[str, list[float]]] = [{} for _ in chosen.effects]
+    out: dict[tuple[str, str | None], dict[str, list[float]]] = {e.key: {} for e in best.effects}
     if not len(best.numbers):
         return out
     total = np.sum(best.normals, axis=0)
@@ -155,7 +158,9 @@ def _errors(best: _Joint, chosen: Fit) -> list[dict[str, list[float]]]:
     for k, slot in enumerate(best.fits[0].slots):
         apart = [(slot.get(f.effects) - best.numbers[k]) ** 2 * n[k, k] for f, n in _each(best)]
         spread = np.sqrt(max(1.0, sum(apart) / max(1, len(apart) - 1)))
-        out[slot.effect].setdefault(slot.param.name, []).append(float(deviation[k] * spread))
+        out[best.effects[slot.effect].key].setdefault(slot.param.name, []).append(
+            float(deviation[k] * spread)
+        )
     return out
 
 

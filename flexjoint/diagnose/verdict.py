@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
-from flexjoint.diagnose.selection import Selection, leftover, score
+from flexjoint.diagnose.selection import Selection, at_own_level, leftover, score
 from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
 from flexjoint.effect import Kind, Planned
 
@@ -20,8 +20,13 @@ SCORE_BLOCK = 1.0  # s, of the time blocks behind the standard errors
 SEEN_SHARE = 0.2  # of a joint's torque: an effect that must be larger to be seen was not excited
 DETECTABLE = 20.0  # energy that makes an effect seen
 SAME = 3.0  # deviations within which joints share one value
-SURE = 2.5  # standard errors by which a cause must differ from none
+PROBABLE = 0.1  # probability, ties together, below which a cause is not named
+SURE = 3.0  # standard errors by which a cause must differ from none
 NOTABLE = 2.0  # prior deviations of a nominal number that are worth a line
+
+
+Key = tuple[str, str | None]  # of an effect on a joint
+Errors = dict[str, list[float]]  # standard errors of the components of each parameter
 
 
 def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
@@ -40,13 +45,24 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
             f"{best.effects[worst]} would make the balance smaller, but its size is known to"
             f" {certainty[worst]:.1f} standard errors only: not named"
         )
-        keep = [k for k in range(len(best.effects)) if k != worst]
-        selection = replace(
-            selection,
-            best=fit(best.workspace, [best.effects[k] for k in keep]),
-            rivals=tuple(selection.rivals[k] for k in keep),
-        )
+        selection = without(selection, best.effects[worst])
     return selection, tuple(notes)
+
+
+def improbable(found: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Findings that a rival fits better than: the set explains something, but not by this name."""
+    return tuple(f for f in found if f.probability * (1 + len(f.indistinguishable)) < PROBABLE)
+
+
+def without(selection: Selection, effect: Planned) -> Selection:
+    """The selection with one of its causes taken out, the others fitted again."""
+    best = selection.best
+    keep = [k for k, e in enumerate(best.effects) if e.key != effect.key]
+    return replace(
+        selection,
+        best=at_own_level(fit(best.workspace, [best.effects[k] for k in keep])),
+        rivals=tuple(selection.rivals[k] for k in keep),
+    )
 
 
 def _certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:
@@ -65,13 +81,13 @@ def findings(
     selection: Selection,
     gains: Sequence[float],
     explained: float,
-    spread: Sequence[dict[str, list[float]]] | None = None,
+    spread: Mapping[Key, Errors] | None = None,
 ) -> tuple[Finding, ...]:
-    """The chosen effects as findings, the largest gain first; `spread` replaces the standard errors."""
+    """The chosen effects as findings, the largest gain first; `spread` replaces their standard errors."""
     best = selection.best
     if not best.effects:
         return ()
-    spread = standard_errors(best) if spread is None else spread
+    errors = standard_errors(best)
     out: list[Finding] = []
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
@@ -82,7 +98,7 @@ def findings(
                 planned.effect.name,
                 planned.joint,
                 _probability(selection, k, ties, explained),
-                _parameters(planned, spread[k], listed),
+                _parameters(planned, (spread or {}).get(planned.key, errors[k]), listed),
                 None if planned.since is None else planned.since + best.workspace.readings.start,
                 gains[k],
                 str(planned.effect.kind),
@@ -132,13 +148,13 @@ def merged(found: Sequence[Finding], candidates: Sequence[Candidate]) -> tuple[F
     return tuple(sorted(out, key=lambda f: -f.gain))
 
 
-def standard_errors(best: Fit) -> list[dict[str, list[float]]]:
+def standard_errors(best: Fit) -> list[Errors]:
     """Per effect: standard errors of each parameter's components."""
     rows = len(best.workspace.balances.rows)
     time = best.workspace.time
     blocks = np.tile(((time - time[0]) / SCORE_BLOCK).astype(int), rows)
     deviation = np.sqrt(np.maximum(np.diag(covariance(best, blocks)), 0.0))
-    out: list[dict[str, list[float]]] = [{} for _ in best.effects]
+    out: list[Errors] = [{} for _ in best.effects]
     for slot, std in zip(best.slots, deviation, strict=True):
         out[slot.effect].setdefault(slot.param.name, []).append(float(std))
     return out
