@@ -231,7 +231,7 @@ def test_local_search_from_the_best_start_finds_what_was_planted(
     effect, s = find(name), recording(4)
     target = response(effect, s, planted)
     if name == "encoder_ripple":  # what it looks for shows in the deflection that the encoders make
-        s.phi = 0.01 * np.sin(s.q) - target
+        s.phi = s.phi - target
         s.theta = s.q + s.phi
     names = list(planted)
     bounds = {p.name: p for p in effect.params}

@@ -275,6 +275,12 @@ class Chains:
             return 0.0
         p, one = e.p, np.ones(self.filter.count)
         smooth = replace(signals, phi=self.filter.smooth(signals.phi))
+        begin = int(np.argmax(self.motion.readings.valid))
+        # before it the filter sees the record's edge, and a state would keep what that does
+        for name in ("dq", "dtheta", "dphi"):
+            speed = getattr(smooth, name) * one
+            speed[:begin] = speed[begin]
+            setattr(smooth, name, speed)
         offset = e.effect.rate(smooth, p, 0.0 * one) * one
         decay = offset - e.effect.rate(smooth, p, one)
         h = self.period

@@ -37,8 +37,9 @@ def whole_cycles(theta: Any) -> range:
     return range(max(1, floor(0.5 * pi / travel)), MAX_CYCLES + 1)
 
 
-def ripple_cycles(angle: Any, signal: Any, t: Any) -> tuple[float, ...]:
-    """Cycles per turn of the strongest ripples of a signal (N,) with an angle (N,) [rad] sampled at t [s].
+def ripple_cycles(angle: Any, signal: Any, known: Iterable[Any], t: Any) -> tuple[float, ...]:
+    """Cycles per turn of the strongest ripples of a signal (N,) with an angle (N,) [rad] sampled at t [s],
+    beyond what is linear in the `known` signals.
 
     The peaks of the periodogram over the angle, with samples gathered in fine bins of it; only ripples that
     the motion covers at least twice, and samples at least thrice a period, can be told.
@@ -50,14 +51,17 @@ def ripple_cycles(angle: Any, signal: Any, t: Any) -> tuple[float, ...]:
     width = SLOW / period
     if angle.size < 4.0 * width or travel <= 0.0 or not np.ptp(signal) > 0.0:
         return ()
-    fast = signal - gaussian_filter1d(signal, width)
+    columns = np.stack([x * np.ones_like(signal) for x in (1.0, t, *known)], axis=1)
+    columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    rest = signal - columns @ np.linalg.lstsq(columns, signal, rcond=1e-9)[0]
+    fast = rest - gaussian_filter1d(rest, width)
     place = np.minimum(((angle - angle.min()) / travel * BINS).astype(int), BINS - 1)
     gathered = np.bincount(place, weights=fast, minlength=BINS)
     power = np.abs(np.fft.rfft(gathered, 4 * BINS)) ** 2
     cycles = 2.0 * pi / travel * np.arange(power.size) / 4.0
     told = (cycles >= 4.0 * pi / travel) & (cycles <= 2.0 * pi / (3.0 * period * speed))
     told &= cycles <= 2.0 * pi / travel * BINS / 16.0  # a bin must be a small part of a period
-    power = np.where(told, power * cycles**2, 0.0)  # of the slope: what a motion leaves in it is slow
+    power = np.where(told, power, 0.0)
     found: list[float] = []
     while len(found) < RIPPLES and np.max(power) > 0.0:
         top = float(cycles[np.argmax(power)])

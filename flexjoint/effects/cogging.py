@@ -23,5 +23,5 @@ class Cogging(Effect):
         return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        cycles = (*whole_cycles(s.theta), *ripple_cycles(s.theta, s.tau_m, s.t))
+        cycles = (*whole_cycles(s.theta), *ripple_cycles(s.theta, s.tau_m, (s.tau_t, s.dtheta), s.t))
         return grid(self.params, cycles=cycles, phase=PHASES)

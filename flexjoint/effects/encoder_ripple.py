@@ -29,6 +29,10 @@ class EncoderRipple(Effect):
         return x + p.amplitude * ops.sin(p.cycles * x + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        cycles = (*ripple_cycles(s.q, s.phi, s.t), *ripple_cycles(s.theta, s.phi, s.t))
+        motion = s.dtheta, s.dphi
+        cycles = (
+            *ripple_cycles(s.q, s.phi, (s.tau_t, *motion), s.t),
+            *ripple_cycles(s.theta, s.phi, (s.tau_t, *motion), s.t),
+        )
         cycles = cycles or (self.params[1].value,)
         return grid(self.params, cycles=cycles, phase=PHASES)

@@ -27,5 +27,5 @@ class TransmissionError(Effect):
         return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        cycles = (*whole_cycles(s.theta), *ripple_cycles(s.theta, s.phi, s.t))
+        cycles = (*whole_cycles(s.theta), *ripple_cycles(s.theta, s.phi, (s.tau_t, s.dtheta, s.dphi), s.t))
         return grid(self.params, cycles=cycles, phase=PHASES)
