@@ -25,20 +25,6 @@ from flexjoint.simulate import simulate
 
 
 @pytest.fixture
-def arm(tmp_path: Path) -> Robot:
-    """A robot of two joints, its YAML and URDF in the test's folder."""
-    return fake_diagnosis.arm(tmp_path)
-
-
-@pytest.fixture
-def monday(tmp_path: Path) -> Path:
-    """A good recording of that robot."""
-    path = tmp_path / "monday.csv"
-    recording.write(fake_diagnosis.signals(seconds=4.0), path)
-    return path
-
-
-@pytest.fixture
 def diagnosed(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], None]:
     """Replaces the diagnosis by a given one: these tests are about what the command makes of it."""
 

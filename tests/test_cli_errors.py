@@ -19,20 +19,6 @@ from flexjoint.diagnosis import Diagnosis
 from flexjoint.robot import Robot
 
 
-@pytest.fixture
-def arm(tmp_path: Path) -> Robot:
-    """A robot of two joints, its YAML and URDF in the test's folder."""
-    return fake_diagnosis.arm(tmp_path)
-
-
-@pytest.fixture
-def monday(tmp_path: Path) -> Path:
-    """A good recording of that robot."""
-    path = tmp_path / "monday.csv"
-    recording.write(fake_diagnosis.signals(seconds=4.0), path)
-    return path
-
-
 # --- unusable input -----------------------------------------------------------------------------------------
 def spoilt(path: Path, **changes: object) -> None:
     """Rewrite a CSV recording with some columns (an underscore for the dot) replaced."""

@@ -82,7 +82,7 @@ def diagnose(
         residuals = leftover.views(best, selection.nothing)
         left = leftover.unexplained(best, residuals)
         explained = leftover.explained(best, residuals)
-        gains = held_out.gains(workspace, best, selection.nothing)
+        gains = held_out.gains(workspace, best)
         found = verdict.findings(selection, gains, explained, spread)
         doubtful = verdict.improbable(found)
         if not doubtful:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from flexjoint.diagnose.chain import Chain, Chains, identity
+from flexjoint.diagnose.chain import Chain, Chains
 from flexjoint.diagnose.motion import Motion
 from flexjoint.effect import Planned, Site
 
@@ -139,6 +139,3 @@ def _rows(motion: Motion) -> list[Row]:
         if np.isfinite(motion.readings.tau_t[i, 0]):
             rows.append(Row(SPRING, i))
     return rows
-
-
-__all__ = ["LINK", "MOTOR", "SPRING", "Balances", "Row", "identity"]

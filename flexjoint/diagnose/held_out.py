@@ -29,7 +29,7 @@ def held_out_blocks(time: np.ndarray) -> np.ndarray:
     return np.floor(time / BLOCK).astype(int) % 2 == 1
 
 
-def gains(workspace: Workspace, best: Fit, nothing: Fit) -> list[float]:
+def gains(workspace: Workspace, best: Fit) -> list[float]:
     """Share of the nominal model's held-out error that each cause removes: refitted on the other blocks,
     with it and without it."""
     away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time)
