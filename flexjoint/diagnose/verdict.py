@@ -208,7 +208,11 @@ def _probability(selection: Selection, k: int, ties: Sequence[Tie], explained: f
     best = selection.best
     tied = {(tie.effect, tie.joint) for tie in ties}
     rivals = selection.rivals[k] if k < len(selection.rivals) else ()
-    margin = min((score(r) - score(best) for r in rivals if r.effects[-1].key not in tied), default=40.0)
+    name = best.effects[k].effect.name  # a law that contains it is no rival: it says the same, and more
+    others = [
+        r for r in rivals if r.effects[-1].key not in tied and name not in r.effects[-1].effect.contains
+    ]
+    margin = min((score(r) - score(best) for r in others), default=40.0)
     against = 1.0 / (1.0 + np.exp(-0.5 * np.clip(margin, -40.0, 40.0)))
     return float(np.clip(against * min(1.0, explained + 0.02) / (1 + len(ties)), 0.0, 0.999))
 
