@@ -9,7 +9,8 @@ from typing import Any
 import pinocchio as pin
 
 from flexjoint import robot_schema
-from flexjoint.robot import Robot, build, example_robot_data
+from flexjoint.robot import Robot, build
+from flexjoint.robot_description import example_robot_data
 
 # (URDF below robots/, its joints' drive): springs as stiff as such robots have them, motors as the kind
 UR5 = ("ur_description/urdf/ur5_robot.urdf", {"stiffness": 8000, "damping": 6, "motor_inertia": 0.6,

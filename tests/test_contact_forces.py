@@ -12,7 +12,7 @@ from arms import PLANAR, make
 from scipy.optimize import minimize
 from standing import FEET
 
-from flexjoint import robot, robot_schema
+from flexjoint import robot, robot_description, robot_schema
 from flexjoint.contact_forces import Contact
 from flexjoint.effect import plan
 from flexjoint.equilibrium import equilibrium
@@ -150,7 +150,7 @@ def test_a_flat_foot_carries_moments() -> None:
 def test_talos_stands_on_two_flat_feet() -> None:
     """All its joints actuated; each foot carries force and moment, together the weight."""
     urdf = "package://example-robot-data/robots/talos_data/robots/talos_full_v2.urdf"
-    path = robot.example_robot_data() / urdf.removeprefix("package://")
+    path = robot_description.example_robot_data() / urdf.removeprefix("package://")
     rigid = pin.buildModelFromUrdf(str(path))
     drive = {"stiffness": 1e4, "motor_inertia": 0.5}
     file = {"name": "talos", "urdf": urdf, "base": "floating", "joints": {n: drive for n in rigid.names[1:]}}
