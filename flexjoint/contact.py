@@ -81,7 +81,11 @@ class Ground:
         """The ground's forces at q (nq,) and v (nv,), with the anchors of z (nz,) rolled on for `ahead`
         seconds."""
         anchors = model.items(z[self.slots])
-        tau, points, forces, after, rates = model.zeros(model.nv), [], [], [], []
+        tau: Value = model.zeros(model.nv)
+        points: list[list[Value]] = []
+        forces: list[list[Value]] = []
+        after: list[Value] = []
+        rates: list[Value] = []
         motions = _motions(model, q, self._frames)
         for k, (item, (placement, jacobian)) in enumerate(zip(self.contacts, motions, strict=True)):
             twist = model.items(jacobian @ v)
@@ -123,6 +127,17 @@ class Ground:
         z = model.zeros(self.slots.stop)
         points = self.touch(model, q, still, z).points
         return model.vector([point[j] for point in points for j in range(2)])
+
+    def places(self, model: FlexibleJointModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of a numeric model at q (nq,): the contact points (c, 3) [m], and the Jacobians (c, 3, nv) of the
+        bodies' velocities there, along world axes."""
+        touch = self.touch(model, q, np.zeros(model.nv), np.zeros(self.slots.stop))
+        points: np.ndarray = np.array(touch.points)
+        out = np.empty((len(points), 3, model.nv))
+        for k, (placement, jacobian) in enumerate(_motions(model, q, self._frames)):
+            arm = points[k] - placement[:3, 3]
+            out[k] = jacobian[:3] + np.cross(jacobian[3:], arm, axis=0)
+        return points, out
 
 
 def joint_axis(model: pin.Model, joint: str) -> np.ndarray | None:
