@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.contact_forces import unactuated
-from flexjoint.equilibrium import deflection, holding_torque
+from flexjoint.equilibrium import deflection, equilibrium, holding_torque
 from flexjoint.errors import ModelError
 from flexjoint.model import FlexibleJointModel, State
 
@@ -61,6 +61,18 @@ def standing(model: FlexibleJointModel, q: np.ndarray) -> Standing:
     anchors = points[:, :2] + forces[:, :2] / along[:, None]
     state.z = model.ground.with_anchors(model, state.z, anchors.ravel().tolist())
     return Standing(state, tau, forces)
+
+
+def held(model: FlexibleJointModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Motor positions (n,) [rad] and joint torques (n,) [N m] that hold the joints at q (nq,), on the ground
+    where the model has contacts. Raises ModelError where that cannot be."""
+    if model.ground is None:
+        rest = equilibrium(model, q)
+        return rest.theta[0], rest.tau[0]
+    stands = standing(model, q)
+    theta = np.array([q[joint.idx_q] for joint in model.joints])
+    theta[list(model.flexible)] = stands.state.theta
+    return theta, stands.tau
 
 
 def _forces(model: FlexibleJointModel, q: np.ndarray, jacobian: np.ndarray) -> np.ndarray:

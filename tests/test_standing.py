@@ -14,6 +14,8 @@ from flexjoint.clockwork import rollout
 from flexjoint.control import law_of
 from flexjoint.effect import plan
 from flexjoint.errors import ModelError
+from flexjoint.linearise import linearise, symbolic_linearisation
+from flexjoint.live import LiveSimulation
 from flexjoint.model import FlexibleJointModel
 from flexjoint.robot import load
 from flexjoint.standing import standing
@@ -109,3 +111,17 @@ def test_what_cannot_stand_is_refused() -> None:
     without = FlexibleJointModel(replace(box(), contacts=()))
     with pytest.raises(ModelError, match="with contacts"):
         standing(without, without.body.neutral)
+
+
+def test_a_live_simulation_stands_where_it_starts() -> None:
+    sim = LiveSimulation(centauro())
+    before = sim.full_state.q
+    sim.run(0.2)
+    np.testing.assert_allclose(sim.full_state.q, before, atol=1e-9)
+
+
+def test_linear_models_refuse_contacts() -> None:
+    with pytest.raises(ModelError, match="stands on contacts"):
+        linearise(centauro())
+    with pytest.raises(ModelError, match="stands on contacts"):
+        symbolic_linearisation(centauro())
