@@ -54,11 +54,11 @@ def _robot(name: str, text: str, contacts: list[dict[str, Any]], **top: Any) -> 
     return build(robot_schema.parse(file, name), Path(_folder().name) / f"{name}.yaml")
 
 
-def box(contacts: dict[str, Any] | None = None, feet: int = 4, **top: Any) -> Robot:
+def box(contacts: dict[str, Any] | None = None, **top: Any) -> Robot:
     """A box of 8 kg with a flywheel at its centre on a vertical elastic joint, on feet 0.1 m below."""
     parts = [_body("trunk", BOX, 0.1), _body("flywheel", FLYWHEEL, 0.004)]
     parts.append(_joint("spin", "trunk", "flywheel", "0 0 0", "0 0 1"))
-    corners = [(HALF, HALF), (HALF, -HALF), (-HALF, HALF), (-HALF, -HALF)] if feet == 4 else [(0.0, 0.0)]
+    corners = [(HALF, HALF), (HALF, -HALF), (-HALF, HALF), (-HALF, -HALF)]
     entries = []
     for k, (x, y) in enumerate(corners):
         parts.append(f'<link name="foot_{k}"/>' + _joint(f"ankle_{k}", "trunk", f"foot_{k}", f"{x} {y} -0.1"))
@@ -73,9 +73,9 @@ def cart(contacts: dict[str, Any] | None = None, axis: str = "0 1 0", **top: Any
         parts += [_body(f"tyre_{k}", 0.5, 0.003), f'<link name="hub_{k}"/>']
         parts.append(_joint(f"wheel_{k}", "trunk", f"tyre_{k}", f"{x} {y} -0.1", axis))
         parts.append(_joint(f"mount_{k}", "trunk", f"hub_{k}", f"{x} {y} -0.2"))
-        entries.append(
-            {"frame": f"hub_{k}", "radius": 0.1, "rolls": f"wheel_{k}", **FEET, **(contacts or {})}
-        )
+        own = {"frame": f"hub_{k}", "radius": 0.1, "rolls": f"wheel_{k}"}
+        # light wheels bear no more damping at 1 kHz
+        entries.append({**own, **FEET, "tangential_damping": 100.0, **(contacts or {})})
         joints[f"wheel_{k}"] = DRIVE
     return _robot("cart", "".join(parts), entries, joints=joints, **top)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +13,12 @@ from ground_robots import BOX, FEET, FLYWHEEL, HALF, box, cart, lifted
 
 from flexjoint import engine, robot_schema
 from flexjoint.clockwork import rollout
-from flexjoint.errors import ModelError, RobotError
+from flexjoint.errors import ModelError, RobotError, StabilityWarning
 from flexjoint.integrate import DEFAULT, SCHEMES
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.reference import continuous_control
-from flexjoint.robot import Robot, build
+from flexjoint.robot import Robot, build, load
+from flexjoint.stability import check_stability
 from flexjoint.trajectory import Trajectory
 
 G = 9.81
@@ -152,7 +154,7 @@ def test_anchors_follow_feet_in_the_air(scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", [DEFAULT, "semi_implicit_euler", "rk4"])
 def test_wheels_roll_without_slip(scheme: str) -> None:
-    model = FlexibleJointModel(cart({**CALM, "tangential_damping": 100.0}))  # light wheels bear no more
+    model = FlexibleJointModel(cart(CALM))
     start = lifted(model, 0.2 - DEPTH)
     tape = rollout(model, start, np.full((800, 4), 3.0), 1000.0, scheme=scheme)
     speed, spin = tape.v[-1, 0], tape.v[-1, 6:]
@@ -213,6 +215,23 @@ def test_contact_numbers_are_part_of_the_compiled_structure() -> None:
         tape = engine.rollout(model, lifted(model, 0.2), torque, 1000.0, engine="compiled")
         heights.append(tape.q[-1, 2])
     assert heights[0] < heights[1] - 1e-4
+
+
+@pytest.mark.parametrize(
+    ("number", "value"), [("stiffness", 1e8), ("tangential_stiffness", 1e8), ("tangential_damping", 600.0)]
+)
+def test_a_contact_that_a_step_cannot_hold_is_named(number: str, value: float) -> None:
+    model = FlexibleJointModel(cart({number: value}))
+    with pytest.warns(StabilityWarning, match=f"contact of hub_0.*{number}"):
+        check_stability(model, lifted(model, 0.2), 1e-3, DEFAULT)
+
+
+def test_contacts_within_the_limits_do_not_warn() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for robot in (box(), cart(), load("centauro")):
+            model = FlexibleJointModel(robot)
+            check_stability(model, model.rest(), 1.0 / robot.rates.physics, DEFAULT)
 
 
 # --- robot files ---------------------------------------------------------------------------------
