@@ -131,6 +131,18 @@ class PinBody:
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, index, pin.LOCAL_WORLD_ALIGNED)
         return jacobian.reshape(6, self.nv)
 
+    def frame_motions(self, q: np.ndarray, frames: Sequence[str]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """frame_placement and frame_jacobian of several frames, in one pass."""
+        model, data, indices = self._model, self._data, self._frames
+        pin.computeJointJacobians(model, data, q)
+        out = []
+        for name in frames:
+            index = find_frame(indices, name)
+            placement = np.array(pin.updateFramePlacement(model, data, index).homogeneous)
+            jacobian = pin.getFrameJacobian(model, data, index, pin.LOCAL_WORLD_ALIGNED)
+            out.append((placement, jacobian.reshape(6, self.nv)))
+        return out
+
     def center_of_mass(self, q: np.ndarray) -> np.ndarray:
         """(3,) in the base, of the moving bodies: what is fixed to the base does not count."""
         return pin.centerOfMass(self._model, self._data, q)

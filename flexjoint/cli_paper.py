@@ -15,6 +15,11 @@ NOTE = """\
 Read from the left, the step reaches a held controller a tick after the continuous one, which is most of the
 difference. Read from the right it does not, and tau_m is off by the whole torque at that one sample."""
 
+LAW = """\
+l: the contact forces lambda. any: the largest of all joints but the wheels. law: the largest difference from
+the static law (theta_d - q_d) - (tau_t - tau_ff)/Kp - tau_t/K."""
+LEFT = ("run", "signal", "spring", "tau_ff; theta_d", "pose")  # columns of words
+
 
 def add(commands: Any) -> None:
     """Register the command and its experiments; one more experiment is one more parser here."""
@@ -25,6 +30,13 @@ def add(commands: Any) -> None:
         "--steps-only", action="store_true", help="leave out the ramp, step and chirp, which take longest"
     )
     one_link.set_defaults(run=_one_link)
+    whole_body = experiments.add_parser(
+        "whole-body", help="section 5.2: CENTAURO from its initial to a spider and a mammal pose"
+    )
+    whole_body.add_argument(
+        "--figures", metavar="FOLDER", help="write figures like Fig. 8 and 9 of each variant"
+    )
+    whole_body.set_defaults(run=_whole_body)
 
 
 def _one_link(arguments: argparse.Namespace) -> None:
@@ -43,6 +55,35 @@ def _one_link(arguments: argparse.Namespace) -> None:
         with console.status("ramp, step and chirp"):
             varying = paper.varying_table()
         _print(varying, console, beside_paper=True)
+
+
+def _whole_body(arguments: argparse.Namespace) -> None:
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from flexjoint import paper_whole_body as whole_body
+
+    console = Console()
+    names = whole_body.robot_model().robot.joint_names
+    shown = {label: names.index(joint) for label, joint in whole_body.SHOWN.items()}
+    rows, files = [], []
+    for gravity, title in whole_body.GRAVITY.items():
+        for motor, reference in whole_body.MOTOR.items():
+            with console.status(f"gravity_ff {title}, theta_d {reference}"):
+                found = whole_body.run(gravity, motor, whole_body.quickest())
+                if arguments.figures is not None:
+                    files += whole_body.draw(found, Path(arguments.figures))
+            for k, hold in enumerate(found.holds):
+                errors = [f"{1e3 * hold.error[i]:+.1f}" for i in shown.values()]
+                worst = whole_body.largest(hold.error), whole_body.largest(hold.error - hold.law)
+                name = "" if k else f"{title}; {reference}"
+                rows.append([name, hold.pose, *errors, f"{1e3 * worst[0]:.1f}", f"{1e3 * worst[1]:.3f}"])
+    head = ["tau_ff; theta_d", "pose", *shown, "any", "law"]
+    _grid("q - q_d at rest, in mrad", head, rows, console)
+    console.print(LAW, soft_wrap=True)
+    for file in files:
+        console.print(str(file), soft_wrap=True)
 
 
 def _facts(console: Console) -> None:
@@ -92,7 +133,7 @@ def _grid(title: str, head: list[str], rows: list[list[str]], console: Console) 
 
     grid = Grid(title=title, title_justify="left")
     for label in head:
-        grid.add_column(escape(label), justify="left" if label in ("run", "signal", "spring") else "right")
+        grid.add_column(escape(label), justify="left" if label in LEFT else "right")
     for row in rows:
         grid.add_row(*(escape(cell) for cell in row))
     console.print(grid)

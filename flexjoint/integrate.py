@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from flexjoint import ops
+from flexjoint.contact import Ground
 from flexjoint.errors import SimulationError, unknown
 from flexjoint.friction import SWEEPS, directed, settle
 from flexjoint.implicit import implicit_midpoint
@@ -234,4 +235,18 @@ def make_step(model: FlexibleJointModel, h: float, scheme: str = DEFAULT, width:
             f"{scheme} smooths dry friction as level tanh(velocity / width): give a width > 0 [rad/s], or"
             f" use {DEFAULT}, where it sticks (got width={width})"
         )
-    return SCHEMES[scheme](model, h, width)
+    step = SCHEMES[scheme](model, h, width)
+    if model.ground is None or scheme == DEFAULT:  # which lets anchors slip at its midpoint
+        return step
+    return _slipping(model, model.ground, step)
+
+
+def _slipping(model: FlexibleJointModel, ground: Ground, step: Step) -> Step:
+    """The step, after which the anchors of contacts slip."""
+
+    def stepped(x: State, tau_m: Value) -> State:
+        x = step(x, tau_m)
+        x.z = ground.slipped(model, x.q, x.v, x.z)
+        return x
+
+    return stepped

@@ -55,8 +55,10 @@ def linearise(
         method: numeric is by Pinocchio; symbolic differentiates the CasADi twin. Both give the same.
 
     Raises:
-        ModelError: kinks and no choice, a missing amplitude or width, wrong shapes, no equilibrium.
+        ModelError: kinks and no choice, a missing amplitude or width, wrong shapes, no equilibrium; contacts
+            with the ground.
     """
+    refuse_contacts(model)
     own, effects = model, model.effects
     rough = kinked(effects)
     _check_choice(rough, nonsmooth, width)
@@ -108,6 +110,7 @@ def symbolic_linearisation(
     CENTAURO with a fixed base 114 thousand instructions, instead of 187 for the whole right-hand side
     differentiated at once. The matrices are sparse.
     """
+    refuse_contacts(model)
     twin = FlexibleJointModel(model.robot, model.effects, SymbolicBody)
     body, nv = twin.body, twin.nv
     torques = _JointTorques.of(model, width, t)
@@ -126,6 +129,16 @@ def symbolic_linearisation(
     return ca.Function(
         "linearisation", [x, u], [A, B, C, D, drift], ["x", "u"], ["A", "B", "C", "D", "drift"]
     )
+
+
+def refuse_contacts(model: FlexibleJointModel) -> None:
+    """Raises ModelError for a model with contacts, which a linear model here knows nothing of."""
+    if model.ground is not None:
+        raise ModelError(
+            f"{model.robot.name} stands on contacts, which linear models do not know: fix its base"
+            " (grounded=True of flexjoint.robot.load), or take them away (dataclasses.replace(robot,"
+            " contacts=()))"
+        )
 
 
 # --- joint torques ----------------------------------------------------------------------------------------

@@ -21,12 +21,12 @@ import numpy as np
 
 from flexjoint.clockwork import Runner, Ticks, longest_delay
 from flexjoint.control import gains_of, law_of, with_gain
-from flexjoint.equilibrium import equilibrium
 from flexjoint.errors import SimulationError, unknown
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.springs import VariableSpring
 from flexjoint.stability import check_stability
+from flexjoint.standing import held
 from flexjoint.start import at_rest, initial_positions
 
 KEPT = 4096  # rows of the motion behind the present one; delays need far fewer
@@ -181,20 +181,21 @@ class LiveSimulation:
 
     def aim(self, positions: Mapping[str, float]) -> None:
         """Tell links to go to positions [rad] as equation 4 does: theta_ref = q_ref + g(q_ref)/K and
-        tau_ff = g(q_ref), of the model at hand with its other joints where they are told to be."""
+        tau_ff = g(q_ref), of the model at hand with its other joints where they are told to be. On contacts
+        g - J_c' lambda stands for g; raises ModelError for a pose that they cannot carry."""
         for name in positions:
             self._place(name)
         told = {name: positions.get(name, self._commands[name].q_ref) for name in self.joints}
         q = self._runner.x.q.copy()
         for joint in self.model.joints:
             q[joint.idx_q] = told[joint.name]
-        rest = equilibrium(self._runner.model, q)
+        theta, tau = held(self._runner.model, q)
         for i, name in enumerate(self.joints):
             self._commands[name] = replace(
                 self._commands[name],
                 q_ref=told[name],
-                theta_ref=float(rest.theta[0, i]),
-                tau_ff=float(rest.tau[0, i]),
+                theta_ref=float(theta[i]),
+                tau_ff=float(tau[i]),
                 dtheta_ref=0.0 if name in positions else self._commands[name].dtheta_ref,
             )
 

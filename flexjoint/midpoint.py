@@ -8,7 +8,8 @@ are linear in the motor's midpoint velocity: w = c0 + c1 v_mid. That leaves the 
 r + k_d c0 - kappa v and, as v_mid = v + a acc, an armature a kappa, with kappa = k_d (1 - c1): one
 articulated-body call solves the whole step. r = K phi for a linear spring; others are linearised. Forces
 that depend on anything else are evaluated at the predicted midpoint (q + a v, v + a acc of the last step,
-...), whose error is O(h^2), so order 2 holds; what resists a velocity is linearised in it.
+...), whose error is O(h^2), so order 2 holds; what resists a velocity is linearised in it. Contact
+forces (`flexjoint.contact`) are such forces; anchors slip at the predicted midpoint.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from flexjoint import ops
+from flexjoint.contact import Touch
 from flexjoint.effect import Signals
 from flexjoint.flow import JointFlow
 from flexjoint.friction import SWEEPS, TINY, directed, settle
@@ -50,6 +52,7 @@ class Midpoint:
             for i, flow in enumerate(model.flows)
             if flow.busy or flow.joint.rigid
         ]
+        self.stateful = any(flow.stateful for flow in model.flows)
         self.rubbing = [
             i
             for i, flow in enumerate(model.flows)
@@ -76,10 +79,14 @@ class Midpoint:
                 tau[flow.joint.idx_v], armature[flow.joint.idx_v] = line.tau, line.armature
                 if k >= 0:
                     c0[k], c1[k] = line.c0, line.c1
+        touch = None
+        if model.ground is not None:
+            touch = model.ground.touch(model, q_mid, v_mid, x.z, a)
+            tau = tau + touch.tau
         acc = model.body.aba(q_mid, v_mid, tau, armature)
         if self.rubbing:
             acc = self._rub(x, q_mid, v_mid, tau, armature, acc, lines)
-        return self._finish(x, acc, c0, c1, lines)
+        return self._finish(x, acc, c0, c1, lines, touch)
 
     def _rub(
         self,
@@ -116,7 +123,9 @@ class Midpoint:
             line.link_free, line.link_shed = acc[places[j]] + own * force[j], own * levels[j]
         return acc
 
-    def _finish(self, x: State, acc: Value, c0: Value, c1: Value, lines: dict[int, Line]) -> State:
+    def _finish(
+        self, x: State, acc: Value, c0: Value, c1: Value, lines: dict[int, Line], touch: Touch | None
+    ) -> State:
         model, h, a = self.model, self.h, self.a
         v_mid = x.v + a * acc
         v = v_mid + a * acc
@@ -137,7 +146,10 @@ class Midpoint:
             elif flow.motor_rubs:
                 line = lines[i]
                 w[k], ddtheta[k] = _rubbed(x.dtheta[k], w_mid[k], line.free, line.shed, h)
-        z = self._advance(x, v_mid, w_mid) if model.nz else x.z
+        z = self._advance(x, v_mid, w_mid) if self.stateful else x.z
+        if touch is not None and model.ground is not None:
+            rolled = [s + a * rate for s, rate in zip(touch.anchors, touch.rates, strict=True)]
+            z = model.ground.with_anchors(model, z, rolled)
         q, theta = model.body.integrate(x.q, h * v_mid), x.theta + h * w_mid
         return State(x.t + h, q, v, theta, w, z, acc, ddtheta, tau_rigid)
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from flexjoint import ops
 from flexjoint.body import PinBody
+from flexjoint.contact import Ground
 from flexjoint.effect import Planned, Signals
 from flexjoint.errors import ModelError, unknown
 from flexjoint.flow import JointFlow, Part
@@ -36,8 +37,9 @@ class State:
     """State of a model at time t [s], and what the default scheme remembers of its last step.
 
     q (nq,), v (nv,) link positions and velocities in the body's order; theta, dtheta (nf,) of the
-    flexible joints; z (nz,) internal states of effects; acc (nv,), ddtheta (nf,) accelerations at the last
-    step's midpoint; tau_rigid (nr,) transmission torques of the rigid joints there. NumPy or CasADi.
+    flexible joints; z (nz,) internal states of effects, and anchors of contacts; acc (nv,), ddtheta (nf,)
+    accelerations at the last step's midpoint; tau_rigid (nr,) transmission torques of the rigid joints there.
+    NumPy or CasADi.
     """
 
     t: Value
@@ -104,7 +106,9 @@ class FlexibleJointModel:
             for joint in self.joints
         )
         self.body = self._edited_body(awake)
-        self.nq, self.nv, self.nz = self.body.nq, self.body.nv, len(self._slots)
+        self.nq, self.nv = self.body.nq, self.body.nv
+        self.ground = Ground(robot.contacts, robot.model, len(self._slots)) if robot.contacts else None
+        self.nz = len(self._slots) + 2 * len(robot.contacts)
         self.flexible = tuple(i for i, joint in enumerate(self.joints) if not joint.rigid)
         self.rigid = tuple(i for i, joint in enumerate(self.joints) if joint.rigid)
         self.nf = len(self.flexible)
@@ -195,6 +199,7 @@ class FlexibleJointModel:
             q[joint.idx_q], v[joint.idx_v] = f"q.{joint.name}", f"dq.{joint.name}"
         moving = [self.joints[i].name for i in self.flexible]
         z = [f"{effect}.{joint}" for effect, joint in self._slots]
+        z += self.ground.names if self.ground is not None else ()
         return (*q, *v, *(f"theta.{n}" for n in moving), *(f"dtheta.{n}" for n in moving), *z)
 
     @property
@@ -212,6 +217,9 @@ class FlexibleJointModel:
         q = self.vector(self.body.neutral.tolist()) if q is None else q
         theta = self.vector(q[self.joints[i].idx_q] for i in self.flexible)
         z = self.vector(x.effect.states[0] for x in self.effects if x.effect.states)
+        if self.ground is not None:
+            below = self.ground.below(self, q)
+            z = ca.vertcat(z, below) if self.symbolic else np.concatenate([z, below])
         return self._remembering_nothing(t, q, self.zeros(self.nv), theta, self.zeros(self.nf), z)
 
     def _remembering_nothing(
@@ -274,6 +282,10 @@ class FlexibleJointModel:
                 tau_t[i] = s.tau_t
             for slot, rate in flow.rates(s, state.z):
                 dz[slot] = rate
+        if self.ground is not None:
+            touch = self.ground.touch(self, state.q, state.v, state.z)
+            tau = tau + touch.tau
+            dz[self.ground.slots] = self.vector(touch.rates)
         acc = self.body.aba(state.q, state.v, tau, armature)
         for i in self.rigid:
             tau_t[i] = tau_t[i] - self.flows[i].drive.B * acc[self.joints[i].idx_v]

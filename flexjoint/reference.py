@@ -266,3 +266,8 @@ def _refuse_delays(model: FlexibleJointModel) -> None:
             "continuous control knows no delays: take delays of command, sensors and `sensing_delay` out of"
             " the robot, or use closed_loop with the scheme reference"
         )
+    if model.ground is not None:
+        raise ModelError(
+            "continuous control knows no contacts, whose anchors slip between steps: use closed_loop with the"
+            " scheme reference"
+        )

@@ -15,6 +15,7 @@ import yaml
 
 from flexjoint import robot_description, robot_sections
 from flexjoint import robot_schema as schema
+from flexjoint.contact import GroundContact, joint_axis
 from flexjoint.effect import Drive, Planned, plan
 from flexjoint.errors import FlexJointError, RobotError, unknown
 from flexjoint.files import write_text
@@ -64,6 +65,7 @@ class Robot:
     sections: tuple[str, ...] = ()
     disabled: tuple[str, ...] = ()
     preset: str | None = None
+    contacts: tuple[GroundContact, ...] = ()  # with the ground, of a floating base
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -177,6 +179,7 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
     description = robot_description.read(file, path)
     whole = robot_description.model(description, file.base == "floating")
     known = [name for name in whole.names if name not in ("universe", "root_joint")]
+    whole_frames = [frame.name for frame in whole.frames]
     choice = robot_sections.choose(file, description.text, file.spawn, where)
     if file.sections:
         description = replace(description, text=choice.urdf)
@@ -208,7 +211,36 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
         description,
         choice.spawned,
         choice.disabled,
+        contacts=_contacts(model, file, (whole_frames, known), where),
     )
+
+
+def _contacts(
+    model: pin.Model, file: schema.RobotFile, known: tuple[Collection[str], Collection[str]], where: str
+) -> tuple[GroundContact, ...]:
+    """The contacts that are there; a wheel whose section is left out leaves its frame as a point.
+
+    `known` are the frames and joints of the whole description.
+    """
+    frames, joints = known
+    found = []
+    for entry in file.contacts:
+        if entry.frame not in frames:
+            raise RobotError(f"{where}: contacts: {unknown('frame', entry.frame, frames)}")
+        numbers, wheel = entry.model_dump(), entry.rolls
+        if wheel is not None:
+            if wheel not in joints:
+                raise RobotError(f"{where}: contacts: {entry.frame}: {unknown('joint', wheel, joints)}")
+            if not model.existJointName(wheel):
+                numbers.update(rolls=None, radius=0.0)
+            elif joint_axis(model, wheel) is None:
+                raise RobotError(
+                    f"{where}: contacts: {entry.frame}: joint {wheel} does not turn about one axis; name the"
+                    " wheel's"
+                )
+        if model.existFrame(entry.frame) and file.base == "floating":
+            found.append(GroundContact(**numbers))
+    return tuple(found)
 
 
 def _joint(model: pin.Model, name: str, entry: schema.JointEntry, where: str) -> Joint:

@@ -60,6 +60,19 @@ class Section(Strict):
         return (*self.roots, *(root for roots in self.parts.values() for root in roots))
 
 
+class ContactEntry(Strict):
+    """A place that touches the ground (docs/contact.md); numbers that are not given take their default."""
+
+    frame: str
+    radius: float = Field(0.0, ge=0, lt=float("inf"))  # m
+    rolls: str | None = None  # the joint of a wheel
+    stiffness: float = Field(2e5, gt=0, lt=float("inf"))  # N/m
+    dissipation: float = Field(2.0, ge=0, lt=float("inf"))  # s/m
+    friction: float = Field(0.8, ge=0, lt=float("inf"))
+    tangential_stiffness: float = Field(2e5, gt=0, lt=float("inf"))  # N/m
+    tangential_damping: float = Field(1e3, ge=0, lt=float("inf"))  # N s/m
+
+
 class Preset(Strict):
     """Numbers that replace those of the file: of joints, and the rates."""
 
@@ -87,7 +100,7 @@ class RobotFile(Strict):
     presets: dict[str, Preset] = Field(default_factory=dict)
     sections: dict[str, Section] = Field(default_factory=dict)
     spawn: tuple[str, ...] | None = None  # sections that are there; None: all
-    contacts: Any = None
+    contacts: tuple[ContactEntry, ...] = ()  # of a floating base with the ground at height 0
     initial: dict[str, float] = Field(default_factory=dict)
     poses: dict[str, dict[str, float]] = Field(default_factory=dict)
     continuous: tuple[str, ...] = ()
@@ -102,7 +115,12 @@ class RobotFile(Strict):
 
 
 _SINGLE: dict[str, type[Strict]] = {"rates": Rates, "tolerance": Tolerance}
-_NAMED: dict[str, type[Strict]] = {"joints": JointEntry, "sections": Section, "presets": Preset}
+_NAMED: dict[str, type[Strict]] = {
+    "joints": JointEntry,
+    "sections": Section,
+    "presets": Preset,
+    "contacts": ContactEntry,
+}
 
 
 def parse(raw: Any, where: str) -> RobotFile:
@@ -120,6 +138,16 @@ def parse(raw: Any, where: str) -> RobotFile:
     for name, section in file.sections.items():
         if section.roots and section.parts:
             raise RobotError(f"{where}: section {name} has both roots and parts; keep one of them")
+    seen: set[str] = set()
+    for contact in file.contacts:
+        if contact.frame in seen:
+            raise RobotError(f"{where}: contacts: frame {contact.frame} is listed twice; keep one entry")
+        seen.add(contact.frame)
+        if contact.rolls is not None and contact.radius == 0.0:
+            raise RobotError(
+                f"{where}: contacts: {contact.frame} rolls with {contact.rolls} and has no radius; give the"
+                " wheel's radius [m]"
+            )
     return file
 
 

@@ -17,6 +17,13 @@ from flexjoint.model import FlexibleJointModel, State
 
 # Implicit, or with a step of its own: no spring is too stiff for them.
 A_STABLE = frozenset({"linearly_implicit_midpoint", "implicit_midpoint", "reference"})
+# c h/m that a scheme bears of a contact's damper; others are implicit or have limits of their own
+CONTACT_DAMPING = {
+    "linearly_implicit_midpoint": 1.0,
+    "semi_implicit_euler": 2.0,
+    "kashiri2017": 2.0,
+    "kashiri2017_new": 2.0,
+}
 ROUNDING = 1e-6  # a free drift is a double eigenvalue of 1: rounding moves it by about the root of 1e-16
 SHORTEST = 1e-7  # [s] of the steps that are tried
 DEFAULT_ADVICE = "linearly_implicit_midpoint, which is stable for any stiffness"
@@ -70,6 +77,7 @@ def check_stability(model: FlexibleJointModel, x: State, h: float, scheme: str) 
     The simulation runs all the same, for a mode that grows slowly may not matter to a short run; once the
     numbers cease to be finite it ends with a SimulationError.
     """
+    _check_contacts(model, x, h, scheme)
     if scheme in A_STABLE:
         return
     found = stability(model, x, h, scheme)
@@ -83,6 +91,35 @@ def check_stability(model: FlexibleJointModel, x: State, h: float, scheme: str) 
         StabilityWarning,
         stacklevel=2,
     )
+
+
+def _check_contacts(model: FlexibleJointModel, x: State, h: float, scheme: str) -> None:
+    """Warn (StabilityWarning) when a contact is too stiff or too damped for the mass that it moves: beyond
+    k = 4 m/h^2, and c = 2 m/h, or m/h where the damper sees a predicted velocity, steps alternate and grow.
+    """
+    if model.ground is None or scheme not in CONTACT_DAMPING:
+        return
+    mass = model.body.mass_matrix(x.q)
+    for i in model.rigid:
+        mass[model.joints[i].idx_v, model.joints[i].idx_v] += model.flows[i].drive.B
+    _, jacobians = model.ground.places(model, x.q)
+    for item, jacobian in zip(model.ground.contacts, jacobians, strict=True):
+        inverse = jacobian @ np.linalg.solve(mass, jacobian.T)
+        along, normal = 1.0 / np.max(np.linalg.eigvalsh(inverse[:2, :2])), 1.0 / inverse[2, 2]
+        for name, limit in (
+            ("stiffness", 4.0 * normal / h**2),
+            ("tangential_stiffness", 4.0 * along / h**2),
+            ("tangential_damping", CONTACT_DAMPING[scheme] * along / h),
+        ):
+            if getattr(item, name) > limit:
+                warnings.warn(
+                    f"{scheme} cannot hold the contact of {item.frame} at a physics rate of {1.0 / h:g} Hz:"
+                    f" {name} is {getattr(item, name):g}, and {limit:.3g} is the most for the mass that moves"
+                    " there; lower it, or raise the rate",
+                    StabilityWarning,
+                    stacklevel=3,
+                )
+                return
 
 
 def _growth(model: FlexibleJointModel, A: np.ndarray, h: float, scheme: str) -> float:

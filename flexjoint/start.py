@@ -6,6 +6,7 @@ import numpy as np
 
 from flexjoint.equilibrium import equilibrium
 from flexjoint.model import FlexibleJointModel, State
+from flexjoint.standing import standing
 
 
 def initial_positions(model: FlexibleJointModel) -> np.ndarray:
@@ -19,10 +20,13 @@ def initial_positions(model: FlexibleJointModel) -> np.ndarray:
 
 
 def at_rest(model: FlexibleJointModel, q: np.ndarray) -> State:
-    """The state at rest at link positions q (nq,), springs carrying the load.
+    """The state at rest at link positions q (nq,), springs carrying the load; a robot with contacts stands on
+    them, its base moved there.
 
-    Raises ModelError when a spring cannot.
+    Raises ModelError when a spring or the contacts cannot carry it.
     """
+    if model.ground is not None:
+        return standing(model, q).state
     state = model.rest(q)
     state.theta = equilibrium(model, q).theta[0, list(model.flexible)]
     return state

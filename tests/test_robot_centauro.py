@@ -96,7 +96,7 @@ def test_poses_stand_level_within_limits(pose: str, height: float, length: float
     assert np.all(q[7:] >= model.lowerPositionLimit[7:]) and np.all(q[7:] <= model.upperPositionLimit[7:])
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    frames = [entry["frame"] for entry in loaded.file.contacts]
+    frames = [entry.frame for entry in loaded.file.contacts]
     feet = np.array([data.oMf[model.getFrameId(frame)].translation for frame in frames])
     np.testing.assert_allclose(feet[:, 2], height, atol=1e-4)
     assert np.ptp(feet[:, 2]) < 2e-6  # the SRDF's angles have six digits, and legs of 0.4 m

@@ -68,7 +68,7 @@ def _structure(
         control = (_words(law), sizes, tuple(references))
     springs = tuple(sorted((name, id(s.stiffness), id(s.damping)) for name, s in model.springs.items()))
     timing = (rate, robot.rates.control, robot.file.sensing_delay, scheme, width)
-    return id(robot.model), joints, effects, springs, control, timing, tuple(free)
+    return id(robot.model), robot.contacts, joints, effects, springs, control, timing, tuple(free)
 
 
 def _words(law: Any) -> Any:

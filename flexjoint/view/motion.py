@@ -153,9 +153,7 @@ def _since(run: Simulation) -> np.ndarray:
 
 def contact_frames(robot: Robot) -> tuple[str, ...]:
     """Frames of the robot file's `contacts` that are there."""
-    entries = robot.file.contacts if isinstance(robot.file.contacts, Sequence) else ()
-    names = [entry.get("frame") if isinstance(entry, Mapping) else entry for entry in entries]
-    return tuple(str(name) for name in names if name and robot.model.existFrame(str(name)))
+    return tuple(entry.frame for entry in robot.file.contacts if robot.model.existFrame(entry.frame))
 
 
 def contact_points(robot: Robot, q: np.ndarray) -> np.ndarray:

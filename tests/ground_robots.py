@@ -1,0 +1,87 @@
+"""Small robots that stand on the ground, built from text."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flexjoint import robot_schema
+from flexjoint.model import FlexibleJointModel, State
+from flexjoint.robot import Robot, build
+
+HALF = 0.2  # of the box's width and length [m]
+BOX, FLYWHEEL = 7.5, 0.5  # masses [kg]
+DRIVE = {
+    "stiffness": 300.0,
+    "damping": 0.5,
+    "motor_inertia": 0.05,
+    "motor_damping": 1.0,
+    "kp": 40.0,
+    "kd": 2.0,
+}
+FEET = {"stiffness": 4e4, "dissipation": 1.0, "tangential_stiffness": 4e4, "tangential_damping": 300.0}
+
+
+@cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="ground")  # gone when the tests end
+
+
+def _body(name: str, mass: float, inertia: float, com: str = "0 0 0") -> str:
+    i = inertia
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/>'
+        f'<inertia ixx="{i}" ixy="0" ixz="0" iyy="{i}" iyz="0" izz="{i}"/></inertial></link>'
+    )
+
+
+def _joint(name: str, parent: str, child: str, xyz: str, axis: str | None = None) -> str:
+    kind, line = ("fixed", "") if axis is None else ("continuous", f'<axis xyz="{axis}"/>')
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}"/>{line}</joint>'
+    )
+
+
+def _robot(name: str, text: str, contacts: list[dict[str, Any]], **top: Any) -> Robot:
+    urdf = Path(_folder().name) / f"{name}.urdf"
+    urdf.write_text(f'<robot name="{name}">{text}</robot>', encoding="utf-8")
+    file = {"name": name, "urdf": str(urdf), "base": "floating", "contacts": contacts, **top}
+    return build(robot_schema.parse(file, name), Path(_folder().name) / f"{name}.yaml")
+
+
+def box(contacts: dict[str, Any] | None = None, **top: Any) -> Robot:
+    """A box of 8 kg with a flywheel at its centre on a vertical elastic joint, on feet 0.1 m below."""
+    parts = [_body("trunk", BOX, 0.1), _body("flywheel", FLYWHEEL, 0.004)]
+    parts.append(_joint("spin", "trunk", "flywheel", "0 0 0", "0 0 1"))
+    corners = [(HALF, HALF), (HALF, -HALF), (-HALF, HALF), (-HALF, -HALF)]
+    entries = []
+    for k, (x, y) in enumerate(corners):
+        parts.append(f'<link name="foot_{k}"/>' + _joint(f"ankle_{k}", "trunk", f"foot_{k}", f"{x} {y} -0.1"))
+        entries.append({"frame": f"foot_{k}", **FEET, **(contacts or {})})
+    return _robot("box", "".join(parts), entries, **{"joints": {"spin": DRIVE}, **top})
+
+
+def cart(contacts: dict[str, Any] | None = None, axis: str = "0 1 0", **top: Any) -> Robot:
+    """A trunk of 6 kg on four wheels of radius 0.1 m, each on an elastic joint."""
+    parts, entries, joints = [_body("trunk", 6.0, 0.1)], [], {}
+    for k, (x, y) in enumerate([(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]):
+        parts += [_body(f"tyre_{k}", 0.5, 0.003), f'<link name="hub_{k}"/>']
+        parts.append(_joint(f"wheel_{k}", "trunk", f"tyre_{k}", f"{x} {y} -0.1", axis))
+        parts.append(_joint(f"mount_{k}", "trunk", f"hub_{k}", f"{x} {y} -0.2"))
+        own = {"frame": f"hub_{k}", "radius": 0.1, "rolls": f"wheel_{k}"}
+        # light wheels bear no more damping at 1 kHz
+        entries.append({**own, **FEET, "tangential_damping": 100.0, **(contacts or {})})
+        joints[f"wheel_{k}"] = DRIVE
+    return _robot("cart", "".join(parts), entries, joints=joints, **top)
+
+
+def lifted(model: FlexibleJointModel, height: float) -> State:
+    """The state at rest with the base's origin at this height [m]."""
+    q = np.array(model.body.neutral)
+    q[2] = height
+    return model.rest(q)
