@@ -139,7 +139,7 @@ def test_the_readme_commands_exist() -> None:
     from flexjoint.cli import main
 
     text = "\n".join(blocks(ROOT / "README.md", "sh"))
-    commands = set(re.findall(r"^flexjoint (\w+)", text, re.MULTILINE))
+    commands = set(re.findall(r"^flexjoint ([\w-]+)", text, re.MULTILINE))
     assert commands
     for command in commands:
         with pytest.raises(SystemExit) as end:
