@@ -104,14 +104,19 @@ def rollout(
 
     Warns (StabilityWarning) when an explicit scheme cannot hold a spring.
     """
+    torque = check_torque(model, torque)
+    runner = Runner(model, start, rate, len(torque), past, scheme, width)
+    return runner.all(lambda now: torque[now.done])
+
+
+def check_torque(model: FlexibleJointModel, torque: np.ndarray) -> np.ndarray:
+    """(N, n) motor torques as floats; raises SimulationError for another shape."""
     torque = np.asarray(torque, dtype=float)
     if torque.ndim != 2 or torque.shape[1] != len(model.joints):
         raise SimulationError(
             f"torque: expected (N, {len(model.joints)}), one column per joint, got {torque.shape}"
         )
-
-    runner = Runner(model, start, rate, len(torque), past, scheme, width)
-    return runner.all(lambda now: torque[now.done])
+    return torque
 
 
 def closed_loop(

@@ -11,6 +11,7 @@ dtheta_ref there too, for at a steady speed both sides share it.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
@@ -35,14 +36,14 @@ class Law(Protocol):
         """(n,) motor torques [N m] from q_ref, theta_ref, dtheta_ref, tau_ff and the readings, (n,) each."""
 
 
-class Saturated:
+class Saturated(ABC):
     """A law that clips what it demands; subclasses have a `limit` [N m] and `demand`."""
 
     limit: Value
 
+    @abstractmethod
     def demand(self, reference: Mapping[str, Value], reading: Mapping[str, Value]) -> Value:
         """(n,) motor torques [N m] before saturation."""
-        raise NotImplementedError
 
     def torque(self, reference: Mapping[str, Value], reading: Mapping[str, Value]) -> Value:
         """(n,) motor torques [N m], the total within the limit."""

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from flexjoint import clockwork
-from flexjoint.clockwork import REFERENCES, Ticks, check_references
+from flexjoint.clockwork import REFERENCES, Ticks, check_references, check_torque
 from flexjoint.compiled import CompiledModel, CompilerError, Job, compiled_for
 from flexjoint.compiled.model import row_of
 from flexjoint.control import Law
@@ -47,14 +47,10 @@ def rollout(
     Raises what that raises, UnknownNameError for another engine, and for `compiled` CompilerError where
     there is no compiler.
     """
-    torque = np.asarray(torque, dtype=float)
+    torque = check_torque(model, torque)
     compiled = choose(model, len(torque), rate, None, (), scheme, width, engine)
     if compiled is None:
         return clockwork.rollout(model, start, torque, rate, past, scheme, width)
-    if torque.ndim != 2 or torque.shape[1] != len(model.joints):
-        raise SimulationError(
-            f"torque: expected (N, {len(model.joints)}), one column per joint, got {torque.shape}"
-        )
     return _run(compiled, model, start, None, torque, past)
 
 

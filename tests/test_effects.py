@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from effect_laws import LAWS
 from matplotlib.mathtext import MathTextParser
-from scipy.spatial.transform import Rotation
 
 import flexjoint.effects
 from flexjoint.effect import SENSOR_CHANNELS, Drive, Effect, Kind, Signals, Site, catalogue
@@ -121,160 +121,7 @@ def smooth_points(effect: Effect, count: int, seed: int) -> list[np.ndarray]:
     return kept
 
 
-# --- the laws of docs/formats.md, typed once more ----------------------------------------------------
-
-
-def _payload(i: Inputs) -> np.ndarray:
-    r, m = np.array(i.p.position), i.p.mass
-    inertia = m * (r @ r * np.eye(3) - np.outer(r, r))
-    added = (m, *(m * r), *(inertia[a, b] for a, b in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))))
-    return np.array(i.inertial) + added
-
-
-def _tilt(i: Inputs) -> np.ndarray:
-    turn = Rotation.from_euler("XY", (i.p.roll, i.p.pitch)).as_matrix()  # Rx Ry
-    return turn.T @ np.array(i.gravity)
-
-
-def _drive(i: Inputs, K: float = 1.0, D: float = 1.0, B: float = 1.0, more: float = 0.0) -> tuple[Any, ...]:
-    return K * i.drive.K, D * i.drive.D, B * i.drive.B, i.drive.D_m + more
-
-
-def _dead_zone(x: float, gap: float) -> float:
-    return 0.0 if abs(x) <= gap / 2 else (x - gap / 2 if x > 0 else x + gap / 2)
-
-
-def _dahl(speed: float, z: float, p: Any) -> float:
-    return speed * p.level / p.scale * (1 - z / p.level * np.sign(speed))
-
-
-def _beyond(q: float, stop: float) -> float:
-    return q - stop if (stop >= 0 and q > stop) or (stop < 0 and q < stop) else 0.0
-
-
-# effect: its parameters with units, and what each piece that it has gives. An effect has no other pieces.
-LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
-    "torque_gain": ("gain 1", {"map": lambda i: i.x + i.p.gain * i.x}),
-    "torque_offset": ("offset N m", {"map": lambda i: i.x + i.p.offset}),
-    "torque_delay": ("delay s", {"delay": lambda i: i.p.delay}),
-    "torque_saturation": ("limit N m", {"map": lambda i: np.clip(i.x, -i.p.limit, i.p.limit)}),
-    "cogging": (
-        "amplitude N m, cycles 1, phase rad",
-        {"map": lambda i: i.x + i.p.amplitude * np.sin(i.p.cycles * i.s.theta + i.p.phase)},
-    ),
-    "motor_inertia": ("scale 1", {"edit_drive": lambda i: _drive(i, B=1 + i.p.scale)}),
-    "motor_viscous_friction": (
-        "coefficient N m s/rad",
-        {"edit_drive": lambda i: _drive(i, more=i.p.coefficient)},
-    ),
-    "motor_coulomb_friction": ("level N m", {"level": lambda i: i.p.level}),
-    "asymmetric_friction": (
-        "level_positive N m, level_negative N m",
-        {"level": lambda i: i.p.level_positive if i.s.dtheta > 0 else i.p.level_negative},
-    ),
-    "stribeck_friction": (
-        "level N m, static_extra N m, velocity rad/s",
-        {
-            "level": lambda i: (
-                i.p.level + i.p.static_extra * np.exp(-min((i.s.dtheta / i.p.velocity) ** 2, 600))
-            )
-        },
-    ),
-    "load_friction": ("coefficient 1", {"level": lambda i: i.p.coefficient * abs(i.s.tau_t)}),
-    "friction_drift": (
-        "level N m, time_constant s",
-        {"level": lambda i: i.p.level * np.exp(-i.s.t / i.p.time_constant)},
-    ),
-    "spring_stiffness": ("scale 1", {"edit_drive": lambda i: _drive(i, K=1 + i.p.scale)}),
-    "spring_damping": ("scale 1", {"edit_drive": lambda i: _drive(i, D=1 + i.p.scale)}),
-    "hardening_spring": (
-        "cubic N m/rad^3",
-        {"torque": lambda i: i.p.cubic * i.s.phi**3, "slope": lambda i: 3 * i.p.cubic * i.s.phi**2},
-    ),
-    "backlash": (
-        "gap rad",
-        {
-            "map": lambda i: _dead_zone(i.x, i.p.gap),
-            "slope": lambda i: float(_dead_zone(i.s.phi, i.p.gap) != 0),
-        },
-    ),
-    "spring_hysteresis": (
-        "level N m, scale rad",
-        {"torque": lambda i: i.z, "rate": lambda i: _dahl(i.s.dphi, i.z, i.p)},
-    ),
-    "transmission_error": (
-        "amplitude rad, cycles 1, phase rad",
-        {"map": lambda i: i.x + i.p.amplitude * np.sin(i.p.cycles * i.s.theta + i.p.phase)},
-    ),
-    "spring_preload": ("torque N m", {"torque": lambda i: i.p.torque}),
-    "payload": ("mass kg, position m", {"edit_inertial": _payload}),
-    "base_tilt": ("roll rad, pitch rad", {"edit_gravity": _tilt}),
-    "link_coulomb_friction": ("level N m", {"level": lambda i: i.p.level}),
-    "link_viscous_friction": ("coefficient N m s/rad", {"torque": lambda i: -i.p.coefficient * i.s.dq}),
-    "cable_spring": (
-        "stiffness N m/rad, rest rad",
-        {"torque": lambda i: i.p.stiffness * i.p.rest - i.p.stiffness * i.s.q},
-    ),
-    "end_stop": (
-        "position rad, stiffness N m/rad",
-        {"torque": lambda i: -i.p.stiffness * _beyond(i.s.q, i.p.position)},
-    ),
-    "link_encoder_offset": ("offset rad", {"map": lambda i: i.x + i.p.offset}),
-    "motor_encoder_offset": ("offset rad", {"map": lambda i: i.x + i.p.offset}),
-    "encoder_eccentricity": (
-        "amplitude rad, phase rad",
-        {"map": lambda i: i.x + i.p.amplitude * np.sin(i.x + i.p.phase)},
-    ),
-    "torque_sensor_offset": ("offset N m", {"map": lambda i: i.x + i.p.offset}),
-    "torque_sensor_gain": ("gain 1", {"map": lambda i: i.x + i.p.gain * i.x}),
-    "sensor_delay": ("delay s", {"delay": lambda i: i.p.delay}),
-    # beyond the table
-    "breakaway_friction": (
-        "level N m, distance rad",
-        {
-            "level": lambda i: i.p.level * i.z,
-            "rate": lambda i: -i.z * abs(i.s.dtheta) / i.p.distance,
-        },
-    ),
-    "dahl_friction": (
-        "level N m, scale rad",
-        {"torque": lambda i: -i.z, "rate": lambda i: _dahl(i.s.dtheta, i.z, i.p)},
-    ),
-    "drive_efficiency": (
-        "loss_driving 1, loss_backdriving 1",
-        {
-            "level": lambda i: (
-                abs(i.s.tau_t) * (i.p.loss_driving if i.s.tau_t * i.s.dtheta > 0 else i.p.loss_backdriving)
-            )
-        },
-    ),
-    "encoder_ripple": (
-        "amplitude rad, cycles 1, phase rad",
-        {"map": lambda i: i.x + i.p.amplitude * np.sin(i.p.cycles * i.x + i.p.phase)},
-    ),
-    "quadratic_drag": (
-        "coefficient N m s^2/rad^2",
-        {"torque": lambda i: -i.p.coefficient * np.sign(i.s.dq) * i.s.dq**2},
-    ),
-    "rough_spot": (
-        "level N m, position rad, width rad",
-        {"level": lambda i: i.p.level * np.exp(-min(((i.s.theta - i.p.position) / i.p.width) ** 2, 600))},
-    ),
-    "spring_creep": (
-        "stiffness N m/rad, time_constant s",
-        {"torque": lambda i: i.p.stiffness * i.z, "rate": lambda i: i.s.dphi - i.z / i.p.time_constant},
-    ),
-    "torque_speed_limit": (
-        "stall N m, drop N m s/rad",
-        {
-            "map": lambda i: (
-                np.clip(i.x + i.p.drop * i.s.dtheta, -i.p.stall, i.p.stall) - i.p.drop * i.s.dtheta
-            )
-        },
-    ),
-}
-
-
+# --- the laws of docs/formats.md ---------------------------------------------------------------------
 @every_effect
 def test_law_is_that_of_the_table(effect: Effect) -> None:
     units, laws = LAWS[effect.name]
@@ -365,7 +212,7 @@ def test_absent_at_null(effect: Effect) -> None:
         i.p = i.p._replace(**{p.name: p.null for p in effect.nulls})
         assert effect.map(i.s, i.p, i.x) == i.x
         assert effect.slope(i.s, i.p) == (1.0 if effect.site is Site.DEFLECTION else 0.0)
-        assert effect.level(i.s, i.p, 0.0) == 0.0 and effect.delay(i.p) == 0.0
+        assert effect.level(i.s, i.p, z) == 0.0 and effect.delay(i.p) == 0.0
         assert effect.torque(i.s, i.p, z) == 0.0
         z += 1e-6 * effect.rate(i.s, i.p, z)  # the torque must stay 0 whatever the state has seen
         assert effect.edit_drive(i.drive, i.p) == i.drive
