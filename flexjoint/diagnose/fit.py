@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from flexjoint.diagnose.nuisance import as_effects
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Param, Planned
 
@@ -52,6 +53,13 @@ class Fit:
     slots: tuple[Slot, ...]
 
 
+def shifts(result: Fit) -> list[Planned]:
+    """What the nominal numbers' own tolerances take on beside the fitted effects, as effects."""
+    workspace = result.workspace
+    pull = workspace.deviations(result.y)
+    return as_effects(workspace.nuisance, -pull, workspace.motion.rigid.inertial, workspace.robot)
+
+
 def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
     return tuple(
         Slot(i, param, component)
@@ -63,13 +71,24 @@ def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
 
 def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) -> Fit:
     """Fit all free numbers, starting from the given values; bounds are kept by clipping."""
-    slots = slots_of(effects)
-    current = list(effects)
-    y = workspace.residual(current)
+    workspace, slots = workspace.about(effects), slots_of(effects)
     if not slots:
-        return Fit(
-            workspace, tuple(current), workspace.judged_energy(y, current), y, np.zeros((0, y.size)), slots
-        )
+        y = workspace.residual(effects)
+        energy = workspace.judged_energy(y, effects)
+        return Fit(workspace, tuple(effects), energy, y, np.zeros((0, y.size)), slots)
+    current, y, jacobian = _descend(workspace, list(effects), slots, iterations)
+    if any(e.effect.overrides("level") for e in effects):  # where it rests depends on its size
+        workspace = workspace.about(current)
+        current, y, jacobian = _descend(workspace, current, slots, iterations)
+    energy = workspace.judged_energy(y, current) + _prior(slots, current)
+    return Fit(workspace, tuple(_wrap(current)), energy, y, jacobian, slots)
+
+
+def _descend(
+    workspace: Workspace, current: list[Planned], slots: Sequence[Slot], iterations: int
+) -> tuple[list[Planned], np.ndarray, np.ndarray]:
+    """Values at the nearest minimum of the energy, the residual there and its derivatives."""
+    y = workspace.residual(current)
     energy = workspace.energy(y) + _prior(slots, current)
     damping, jacobian = 1e-3, _jacobian(workspace, current, slots)
     for _ in range(iterations):
@@ -89,8 +108,7 @@ def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) 
         jacobian = _jacobian(workspace, current, slots)
         if gained < CONVERGED + 1e-6 * energy:
             break
-    energy = workspace.judged_energy(y, current) + _prior(slots, current)
-    return Fit(workspace, tuple(_wrap(current)), energy, y, jacobian, slots)
+    return current, y, jacobian
 
 
 def _step(

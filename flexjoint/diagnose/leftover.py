@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import BSpline
 
-from flexjoint.diagnose.fit import Fit
-from flexjoint.diagnose.nuisance import as_effects
+from flexjoint.diagnose.fit import Fit, shifts
 from flexjoint.diagnosis import ResidualView, Unexplained
 from flexjoint.effect import Planned, Site
 
@@ -24,13 +23,13 @@ def views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
     that are free in each recording are taken out of both."""
     workspace = best.workspace
     balances, used = workspace.balances, workspace.readings.valid
-    offsets = [e for e in _shifts(nothing) if e.effect.site is Site.SENSOR]
+    offsets = [e for e in shifts(nothing) if e.effect.site is Site.SENSOR]
 
     def series(effects: Sequence[Planned]) -> np.ndarray:
         return balances.time_series(balances.residual(effects))[:, used]
 
     before = series([*workspace.nominal, *offsets])
-    held = [*workspace.with_nominal(best.effects), *_shifts(best)]
+    held = [*workspace.with_nominal(best.effects), *shifts(best)]
     after = series(held)
     noise = workspace.whitening.deviation
     out = []
@@ -47,13 +46,6 @@ def views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
         }
         out.append(ResidualView(joint.name, row.balance, signals.t, old, new, float(expected), axes))
     return tuple(out)
-
-
-def _shifts(result: Fit) -> list[Planned]:
-    """What the nominal numbers' own tolerances take on, as effects."""
-    workspace = result.workspace
-    pull = workspace.deviations(result.y)
-    return as_effects(workspace.nuisance, -pull, workspace.motion.rigid.inertial, workspace.robot)
 
 
 def explained(best: Fit, residuals: tuple[ResidualView, ...]) -> float:

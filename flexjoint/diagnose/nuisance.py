@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
+from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.whitening import Whitening
 from flexjoint.effect import Drive, Effect, Param, Planned, Site, plan
 from flexjoint.robot import Robot
@@ -94,6 +95,7 @@ class Columns:
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.nuisance: list[Nuisance] = []
         self.samples = whitening.time.size * len(balances.rows)
+        self._latest: dict[str, tuple[object, list[np.ndarray]]] = {}
         columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
         if self.robot.file.offsets == "per_recording":
             columns += self._offset_columns()
@@ -177,6 +179,26 @@ class Columns:
             columns.append(self._column(back))
             self.nuisance.append(Nuisance("link_encoder_offset", joint.name, OFFSET_SPREAD))
         return columns
+
+    def beside_friction(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
+        """Columns (by their number's index) of actuators on whose joints dry friction is at work: a body at
+        rest is held against whatever its spring pulls, so that there a stiffness leaves no trace."""
+        joints = dict.fromkeys(e.joint for e in effects if e.joint and e.effect.overrides("level"))
+        out: dict[int, np.ndarray] = {}
+        for joint in joints:
+            own = [e for e in effects if e.joint == joint and e.effect.site is not Site.BODY]
+            numbers = [k for k, n in enumerate(self.nuisance) if n.joint == joint and n.name in NUMBERS]
+            key = tuple(identity(e) for e in own)
+            if self._latest.get(joint, (None,))[0] != key:
+                columns = []
+                for k in numbers:
+                    number = self.nuisance[k]
+                    off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: number.spread}
+                    changed = self.balances.change(own, [*own, Planned(DriveDeviation(), joint, off)])
+                    columns.append(self.whitening.apply(changed).ravel())
+                self._latest[joint] = key, columns
+            out |= dict(zip(numbers, self._latest[joint][1], strict=True))
+        return out
 
     def load_column(self, torque: np.ndarray) -> np.ndarray:
         """(samples,) whitened trace of a change (n, N) of the rigid-body torques."""

@@ -1,8 +1,8 @@
 """Which set of effects explains the recording: scan, fit the best, add, exchange, prune, date.
 
 A set is judged by its energy Q(y, y) plus a price for every effect and every number in it. An effect
-enters only when it earns more than its price, matters by the robot's own torque tolerance, and removes
-more than the method's own error in the balances it touches.
+enters only when it earns more than its price, matters by the robot's own torque tolerance (or leaves
+nothing but noise), and removes more than the method's own error in the balances it touches.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ import numpy as np
 
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.nuisance import NUMBERS
 from flexjoint.diagnose.scan import Scanner, Scored
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Planned
 
 PRICE_FIRST = 10.0  # energy that an effect of one number must earn: about 3 deviations
 PRICE_NUMBER = 12.0  # and for each further number, or an onset: a finer law must be clearly better
+PRICE_ANOTHER = 6.0  # and for every cause beside the first: one law of two numbers before two of one
 METHOD_ERROR = (
     1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
 )
@@ -27,6 +29,10 @@ LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one,
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
 PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
+CLEARED = 10.0  # factor in variance by which a set must leave less, to be judged at the level that it leaves
+COMPLETE = 3.0  # times the predicted noise, up to which a balance counts as explained
+NEGLIGIBLE = 0.1  # of the torque tolerance, below which no effect is named whatever it explains
+TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 MOST_EFFECTS = 12
 MOST_EXCHANGES = 4
 LEVEL_ROUNDS = 5
@@ -48,7 +54,8 @@ class Selection:
 
 def price(effects: Sequence[Planned]) -> float:
     numbers = [sum(p.size for p in e.effect.params) + (e.since is not None) for e in effects]
-    return sum(PRICE_FIRST + PRICE_NUMBER * (count - 1) for count in numbers)
+    another = PRICE_ANOTHER * max(0, len(numbers) - 1)
+    return another + sum(PRICE_FIRST + PRICE_NUMBER * (count - 1) for count in numbers)
 
 
 def score(result: Fit) -> float:
@@ -70,7 +77,9 @@ def select(
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         scanned = scanner.scan(best)
         first = first or scanned
-        found = [f for f in polish(best, scanned) if worthwhile(f, best, f.effects[-1])]
+        trials = polish(best, scanned)
+        found = [f for f in trials if worthwhile(f, best, f.effects[-1])]
+        found = on_one_level([*found, *clearing(scanner, best, trials)])
         if not found:
             break
         best = prune(at_own_level(date_onset(choose(found))))
@@ -92,6 +101,36 @@ def at_own_level(result: Fit) -> Fit:
         if settled:
             break
     return result
+
+
+def clearing(scanner: Scanner, best: Fit, trials: Sequence[Fit]) -> list[Fit]:
+    """Sets of one more effect that leave a tenth of the variance in the balances that are wrong, each at the
+    level that it leaves. At the level of `best`, at which hardly anything counts, they need not show."""
+    bare = fit(best.workspace.at(np.ones_like(best.workspace.temper)), best.effects)
+    left = best.workspace.temper / best.workspace.strain
+    wrong = left > CLEARED
+    if not np.any(wrong):
+        return []
+
+    def clears(levels: np.ndarray) -> bool:
+        return bool(np.mean(np.log(left[wrong] / levels[wrong])) >= np.log(CLEARED))
+
+    out = []
+    for trial in (*trials, *polish(bare, scanner.scan(bare))):
+        if clears(bare.workspace.levels(trial.y)):
+            settled = at_own_level(trial)
+            without = fit(settled.workspace, best.effects)
+            if clears(settled.workspace.temper) and worthwhile(settled, without, settled.effects[-1]):
+                out.append(settled)
+    return out
+
+
+def on_one_level(fits: Sequence[Fit]) -> list[Fit]:
+    """The fits at the lowest level among theirs."""
+    if not fits:
+        return []
+    lowest = min((f.workspace for f in fits), key=lambda w: float(np.sum(np.log(w.temper))))
+    return [f if f.workspace is lowest else fit(lowest, f.effects) for f in fits]
 
 
 def leftover(result: Fit) -> float:
@@ -140,8 +179,33 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
         alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
         if without.energy - trial.energy < METHOD_ERROR * (alone.energy - trial.energy):
             return False
-    share = torque_share(trial.workspace, trial.effects, trial.effects.index(added))
-    return share >= trial.workspace.robot.tolerance.torque
+    return material(trial, added)
+
+
+def material(trial: Fit, added: Planned) -> bool:
+    """Whether an effect's torque is beyond the tolerance for what a model does not hold. That tolerance
+    stands for errors of the model; where noise alone is left there are none, and smaller effects count."""
+    if tolerated(trial.workspace, added):
+        return False
+    shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))
+    tolerance = trial.workspace.robot.tolerance.torque
+    if np.max(shares) >= tolerance or np.max(shares) < NEGLIGIBLE * tolerance:
+        return bool(np.max(shares) >= tolerance)
+    return bool(np.all(at_own_level(trial).workspace.temper[shares > 0.0] < COMPLETE))
+
+
+def tolerated(workspace: Workspace, added: Planned) -> bool:
+    """Whether an effect is a nominal number that is off by no more than its tolerance claims."""
+    if added.since is not None:
+        return False
+    for number in workspace.nuisance:
+        name, scale = number.name, 1.0
+        if name == "motor_damping":
+            name, scale = "motor_viscous_friction", workspace.robot.joint(str(number.joint)).drive.D_m
+        if (name, number.joint) == added.key and number.name in NUMBERS:
+            (param,) = added.effect.nulls
+            return bool(abs(added.values[param.name]) <= TOLERATED * number.spread * scale)
+    return False
 
 
 def exchange(
@@ -160,6 +224,7 @@ def exchange(
         without = fit(result.workspace, others)
         needed = without.energy - result.energy
         fits = [f for f in polish(without, scanner.scan(without), needed) if f.effects[-1].key != key]
+        fits += [alone for f in fits for alone in containing(f, key[0])]
         swapped = choose([result, *fits])
         if swapped is not result and exchanges < MOST_EXCHANGES:
             exchanges += 1
@@ -170,8 +235,34 @@ def exchange(
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
 
 
+def containing(result: Fit, replaced: str) -> list[Fit]:
+    """Where the last effect of a set contains the `replaced` one as a special case: the set without each
+    other effect of that joint, whose part it may play too (two levels are a Coulomb level and an offset)."""
+    added = result.effects[-1]
+    if replaced not in added.effect.contains:
+        return []
+    beside = [e for e in result.effects[:-1] if e.joint == added.joint]
+    return [fit(result.workspace, [e for e in result.effects if e is not other]) for other in beside]
+
+
+def united(result: Fit) -> Fit:
+    """The set without effects that another one of the same joint contains as a special case, where that one
+    does as well alone."""
+    for wide in result.effects:
+        for narrow in result.effects:
+            if narrow.joint != wide.joint or narrow.effect.name not in wide.effect.contains:
+                continue
+            others = [e for e in result.effects if e is not narrow and e is not wide]
+            for since in dict.fromkeys((wide.since, narrow.since)):
+                alone = date_onset(fit(result.workspace, [*others, replace(wide, since=since)]))
+                if score(alone) < score(result):
+                    return united(alone)
+    return result
+
+
 def prune(result: Fit) -> Fit:
     """Drop, one by one, the effects that are not worth keeping beside the others."""
+    result = united(result)
     while len(result.effects) > 1:
         cheapest: Fit | None = None
         for dropped in result.effects:
@@ -209,14 +300,14 @@ def date_onset(result: Fit) -> Fit:
     )
 
 
-def torque_share(workspace: Workspace, effects: Sequence[Planned], index: int) -> float:
-    """RMS torque of an effect in the balance that it changes most, as a share of that joint's torque."""
+def torque_shares(workspace: Workspace, effects: Sequence[Planned], index: int) -> np.ndarray:
+    """(rows,) RMS torque of an effect in each balance, as a share of that joint's torque."""
     without = [e for k, e in enumerate(effects) if k != index]
     balances, used = workspace.balances, workspace.readings.valid
     change = balances.change(workspace.with_nominal(without), workspace.with_nominal(effects))
-    shares = [0.0]
-    for row, spectrum in zip(balances.rows, change, strict=True):
+    shares = np.zeros(len(balances.rows))
+    for r, (row, spectrum) in enumerate(zip(balances.rows, change, strict=True)):
         if np.any(spectrum):
             torque = balances.time_series(spectrum)[used]
-            shares.append(float(np.sqrt(np.mean(torque**2))) / float(workspace.torque_scale[row.joint]))
-    return max(shares)
+            shares[r] = np.sqrt(np.mean(torque**2)) / workspace.torque_scale[row.joint]
+    return shares

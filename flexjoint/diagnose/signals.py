@@ -23,7 +23,8 @@ from flexjoint.robot import Robot
 
 FILTER_SECONDS = 0.004  # standard deviation of the Gaussian window, at least ...
 FILTER_SAMPLES = 2.0  # ... this many samples, below which its sampled kernel aliases
-EDGE_SIGMAS = 8.0  # samples this close to an edge or gap are not used
+EDGE_SIGMAS = 8.0  # samples this close to an edge or gap are not used, ...
+EDGE_SECONDS = 0.1  # ... nor within this of the recording's ends and long gaps, where a denoised twin departs
 WELCH_SEGMENT = 1024  # samples, of the spectrum from which noise is told from motion
 TICK_SLACK = 0.2  # of a control period by which a stamp may precede its tick
 LONGEST_BRIDGE = 4  # missing samples in a row that are interpolated and used
@@ -140,7 +141,7 @@ def _torque_noise(samples: np.ndarray, held: bool, period: float, rate: float) -
 
 def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
     """Drop what lies within the filter's reach of an edge or a gap."""
-    reach = int(np.ceil(EDGE_SIGMAS * sigma / period))
+    reach = int(np.ceil(max(EDGE_SIGMAS * sigma, EDGE_SECONDS) / period))
     bad = np.concatenate([np.ones(reach, bool), ~valid, np.ones(reach, bool)])
     spread = np.convolve(bad.astype(float), np.ones(2 * reach + 1), mode="same") > 0.5
     return ~spread[reach:-reach]
@@ -159,15 +160,21 @@ def denoised(readings: Readings) -> Readings:
     return replace(readings, **clean)
 
 
-def _wiener(x: np.ndarray, noise: float, period: float) -> np.ndarray:
+def kept_share(x: np.ndarray, noise: float, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """(frequencies [Hz], share of each that is not the predicted white noise)."""
     segment = min(x.size, WELCH_SEGMENT)
     frequency, power = welch(x, 1.0 / period, nperseg=segment, detrend="linear")
     floor = 2.0 * noise**2 * period  # one-sided density of white noise
     # power within a factor of two of the noise could be noise by chance
     share = np.where(power > 2.0 * floor, 1.0 - floor / np.maximum(power, 1e-300), 0.0)
     share[frequency < 2.0 / (segment * period)] = 1.0
+    return frequency, share
+
+
+def _wiener(x: np.ndarray, noise: float, period: float) -> np.ndarray:
+    frequency, share = kept_share(x, noise, period)
     # both ends are continued by odd reflection, so that value and slope go on smoothly
-    reach = min(x.size - 1, 2 * segment)
+    reach = min(x.size - 1, 2 * WELCH_SEGMENT)
     ahead, behind = 2.0 * x[0] - x[reach:0:-1], 2.0 * x[-1] - x[-2 : -reach - 2 : -1]
     longer = np.concatenate([ahead, x, behind])
     window = make_filter(longer.size, period, FILTER_SAMPLES * period)

@@ -18,6 +18,7 @@ from flexjoint.diagnose import whitening
 from flexjoint.diagnose.balances import TwinBalances
 from flexjoint.diagnose.motion import reconstruct
 from flexjoint.diagnose.nuisance import NUMBERS, Columns, as_effects
+from flexjoint.diagnose.shrinkage import shared_noise
 from flexjoint.diagnose.signals import denoised, prepare
 from flexjoint.effect import Planned, Signals
 from flexjoint.recording import Recording
@@ -49,7 +50,9 @@ class Workspace:
         self._signals: dict[str | None, Signals] = {}
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self.J = self._columns.nuisance, self._columns.matrix
+        self._shared = shared_noise(balances, self.whitening, self.nuisance)
         self.temper = np.ones(len(rows))
+        self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
         self.used = np.ones(self.time.size)
         self._weigh()
 
@@ -58,13 +61,27 @@ class Workspace:
         self.weighted = self.J * self.weights
         self.gram = self.weighted @ self.weighted.T + np.eye(len(self.J))
         self._gram = cho_factor(self.gram)
+        self.shared = self._shared @ (1.0 / self.temper) * float(np.sum(self.used))
 
-    def at(self, temper: np.ndarray) -> Workspace:
+    def at(self, temper: np.ndarray, strain: float = 1.0) -> Workspace:
         """The same workspace with each balance's variance taken as `temper` (rows,) times the predicted
         noise: for comparing models of which none is complete."""
         other = copy.copy(self)
-        other.temper = temper
+        other.temper, other.strain = temper, strain
         other._weigh()
+        return other
+
+    def about(self, effects: Sequence[Planned]) -> Workspace:
+        """The same workspace with the nominal numbers' columns taken where these effects, beyond the nominal
+        model's, are at work: what dry friction holds at rest follows the springs."""
+        changed = self._columns.beside_friction(self.with_nominal(effects))
+        other = copy.copy(self)
+        other.J = self._columns.matrix
+        if changed:
+            other.J = other.J.copy()
+            other.J[list(changed)] = list(changed.values())
+        if changed or self.J is not other.J:
+            other._weigh()
         return other
 
     def only(self, used: np.ndarray) -> Workspace:
@@ -79,17 +96,17 @@ class Workspace:
         what they plausibly can; correlated leftovers count as the few independent samples they are."""
         here = self.at(np.ones_like(self.temper))
         for _ in range(TEMPER_ROUNDS):
-            levels = here._levels(y)
+            levels = here.levels(y)
             if np.all(levels <= 1.02 * here.temper):
                 break
             here = here.at(np.maximum(levels, here.temper))
         while np.max(np.abs(here.deviations(y)), initial=0.0) > PLAUSIBLE and here.energy(y) > 2.0 * TELLING:
-            here = here.at(2.0 * here.temper)
+            here = here.at(2.0 * here.temper, 2.0 * here.strain)
         if here.energy(y) <= 2.0 * TELLING:
             return here
-        return here.at(np.maximum(here.temper, here._levels(y)))
+        return here.at(np.maximum(here.temper, here.levels(y)), here.strain)
 
-    def _levels(self, y: np.ndarray) -> np.ndarray:
+    def levels(self, y: np.ndarray) -> np.ndarray:
         """(rows,) variance of what the nominal numbers leave of y, times its correlation time in samples;
         at least 1."""
         rest = self.rest(y).reshape(len(self.balances.rows), -1)
@@ -141,10 +158,14 @@ class Workspace:
         return [e for e in self.nominal if e.key not in keys] + list(extra)
 
     # ------------------------------------------------------------------ inner products
+    def pull(self, y: np.ndarray) -> np.ndarray:
+        """(numbers,) how a residual y pulls at the nominal numbers, the noise that both share taken out."""
+        return self.weighted @ (y * self.weights) - self.shared
+
     def energy(self, y: np.ndarray) -> float:
         """Q(y, y)."""
+        pull = self.pull(y)
         y = y * self.weights
-        pull = self.weighted @ y
         return float(y @ y - pull @ cho_solve(self._gram, pull))
 
     def judged_energy(self, y: np.ndarray, effects: Sequence[Planned]) -> float:
@@ -175,11 +196,12 @@ class Workspace:
 
     def against(self, a: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(k,) Q between columns a (k, samples) and a residual y (samples,)."""
-        return self.product(a, y[None])[:, 0]
+        a = a * self.weights
+        return a @ (y * self.weights) - (a @ self.weighted.T) @ cho_solve(self._gram, self.pull(y))
 
     def deviations(self, y: np.ndarray) -> np.ndarray:
         """Deviations of the nominal numbers, in prior deviations, that explain most of a residual y."""
-        return cho_solve(self._gram, self.weighted @ (y * self.weights))
+        return cho_solve(self._gram, self.pull(y))
 
     def deviation_errors(self) -> np.ndarray:
         """Standard errors of `deviations`."""
