@@ -20,7 +20,7 @@ POSES = 32  # of the recording, over which the mass matrix is averaged
 
 
 def shared_noise(balances: Balances, whitening: Whitening, nuisance: list[Nuisance]) -> np.ndarray:
-    """(numbers, rows) expected product, per sample, of a number's whitened column and the residual's noise."""
+    """(numbers, rows) expected product, per sample, of a number's white column and the residual's noise."""
     motion, n = balances.motion, len(balances.motion.robot.joints)
     omega = balances.filter.omega[: whitening.taper.size]
     gain = balances.filter.gain[: whitening.taper.size]
