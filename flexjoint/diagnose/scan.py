@@ -123,7 +123,6 @@ class _Against:
             gram[range(fixed, fixed + free), range(fixed, fixed + free)] += RIDGE
         self.factor = cho_factor(gram)
         pull = columns @ y
-        pull[:fixed] -= workspace.shared
         self.weighted = cho_solve(self.factor, pull)
         self.weights = workspace.weights.reshape(self.rows, -1)
         ends = [*edges[1:], workspace.time.size]

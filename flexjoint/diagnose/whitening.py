@@ -58,7 +58,7 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     band = int(np.searchsorted(-window.gain, -CUT_GAIN))
     length = 2 * (band - 1)
     omega, gain = window.omega[:band], window.gain[:band]
-    transfer, variances, extra = sensitivity(balances, omega, effects)
+    transfer, variances, extra = _transfer(balances, omega, effects)
     spectrum = np.einsum("fak,k,fbk->fab", transfer, variances, transfer.conj()) + extra
     spectrum = spectrum * (gain**2)[:, None, None]
     rows = range(len(balances.rows))
@@ -99,7 +99,7 @@ def _deviation(balances: Balances, effects: Sequence[Planned], torque_scale: np.
     eighth bin will do)."""
     window = balances.filter
     omega, gain = window.omega[::8], window.gain[::8]
-    transfer, variances, extra = sensitivity(balances, omega, effects)
+    transfer, variances, extra = _transfer(balances, omega, effects)
     own = np.abs(transfer) ** 2 @ variances + np.einsum("faa->fa", extra).real
     return np.sqrt(np.mean(own * (gain**2)[:, None], axis=0) + (FLOOR * torque_scale) ** 2)
 
@@ -113,7 +113,7 @@ def _window(balances: Balances) -> np.ndarray:
     return np.clip(np.convolve(padded, flank / flank.sum(), mode="same") * 2.0, 0.0, 1.0)
 
 
-def sensitivity(
+def _transfer(
     balances: Balances, omega: np.ndarray, effects: Sequence[Planned]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """T (F, m, channels), variances (channels,), and the part that a varying mass matrix adds (F, m, m)."""

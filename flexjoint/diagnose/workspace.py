@@ -18,7 +18,6 @@ from flexjoint.diagnose import whitening
 from flexjoint.diagnose.balances import TwinBalances
 from flexjoint.diagnose.motion import reconstruct
 from flexjoint.diagnose.nuisance import NUMBERS, Columns, as_effects
-from flexjoint.diagnose.shrinkage import shared_noise
 from flexjoint.diagnose.signals import denoised, prepare
 from flexjoint.effect import Planned, Signals
 from flexjoint.recording import Recording
@@ -50,7 +49,6 @@ class Workspace:
         self._signals: dict[str | None, Signals] = {}
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self.J = self._columns.nuisance, self._columns.matrix
-        self._shared = shared_noise(balances, self.whitening, self.nuisance)
         self.temper = np.ones(len(rows))
         self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
         self.used = np.ones(self.time.size)
@@ -61,7 +59,6 @@ class Workspace:
         self.weighted = self.J * self.weights
         self.gram = self.weighted @ self.weighted.T + np.eye(len(self.J))
         self._gram = cho_factor(self.gram)
-        self.shared = self._shared @ (1.0 / self.temper) * float(np.sum(self.used))
 
     def at(self, temper: np.ndarray, strain: float = 1.0) -> Workspace:
         """The same workspace with each balance's variance taken as `temper` (rows,) times the predicted
@@ -159,8 +156,8 @@ class Workspace:
 
     # ------------------------------------------------------------------ inner products
     def pull(self, y: np.ndarray) -> np.ndarray:
-        """(numbers,) how a residual y pulls at the nominal numbers, the noise that both share taken out."""
-        return self.weighted @ (y * self.weights) - self.shared
+        """(numbers,) how a residual y pulls at the nominal numbers."""
+        return self.weighted @ (y * self.weights)
 
     def energy(self, y: np.ndarray) -> float:
         """Q(y, y)."""
