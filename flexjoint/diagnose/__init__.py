@@ -90,7 +90,7 @@ def diagnose(
         for finding in doubtful:
             selection = verdict.without(selection, finding.planned)
             notes += (f"something like {finding.planned} would help, but others fit as well: not named",)
-        measured = held_out.comparison(robot, recording, workspace, selection.best)
+        measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
     found = verdict.merged(found, candidates)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)

@@ -69,7 +69,7 @@ def confirmed(
         best = fit(selection.best.workspace, [selection.best.effects[k] for k in keep])
         rivals = tuple(selection.rivals[k] for k in keep)
         trial = replace(selection, best=best, rivals=rivals)
-        again = comparison(robot, recording, workspace, best)
+        again = comparison(robot, recording, workspace, best, measured)
         if again is None or _size(again, dropped.joint) > 0.95 * _size(measured, dropped.joint):
             break
         notes.append(f"{dropped} would make the balance smaller but the simulation worse: not named")
@@ -88,33 +88,32 @@ def _size(gain: Gain, joint: str | None, when: str = "after") -> float:
     return float(np.mean(sizes)) if sizes else 0.0
 
 
-def comparison(robot: Robot, recording: Recording, workspace: Workspace, best: Fit) -> Gain | None:
+def comparison(
+    robot: Robot, recording: Recording, workspace: Workspace, best: Fit, known: Gain | None = None
+) -> Gain | None:
     """Simulation against the held-out blocks, before and after; the parameters come from the other blocks.
-    None where the recording cannot drive a simulation."""
+    None where the recording cannot drive a simulation. Of `known`, an earlier comparison, the nominal model's
+    part is taken."""
     away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time)
     held_out = bool(np.any(away) and not np.all(away))
     effects: Sequence[Planned] = best.effects
     if held_out:
         effects = fit(workspace.at(best.workspace.temper).only(~away), best.effects).effects
-    try:
-        before = compare(recording, FlexibleJointModel(robot), HORIZON)
-        after = before
-        if effects:
-            after = compare(recording, FlexibleJointModel(robot.extended(effects)), HORIZON)
-    except FlexJointError:
-        return None
     rows = (
         held_out_blocks(recording.time - recording.time[0])
         if held_out
         else np.ones(len(recording.time), bool)
     )
-    return Gain(
-        held_out,
-        HORIZON,
-        errors(recording, before, rows),
-        errors(recording, after, rows),
-        {"rms": noise_floor(robot, recording)},
-    )
+
+    def measured(model: Robot) -> dict[str, Mapping[str, float]]:
+        return errors(recording, compare(recording, FlexibleJointModel(model), HORIZON), rows)
+
+    try:
+        before = measured(robot) if known is None else known.before
+        after = measured(robot.extended(effects)) if effects else before
+    except FlexJointError:
+        return None
+    return Gain(held_out, HORIZON, before, after, {"rms": noise_floor(robot, recording)})
 
 
 def errors(recording: Recording, run: Comparison, rows: np.ndarray) -> dict[str, Mapping[str, float]]:

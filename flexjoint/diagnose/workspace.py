@@ -12,6 +12,7 @@ import copy
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import fft
 from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnose import whitening
@@ -51,12 +52,24 @@ class Workspace:
         self.nuisance, self.J = self._columns.nuisance, self._columns.matrix
         self.temper = np.ones(len(rows))
         self.used = np.ones(self.time.size)
+        self._grams = self._grams_of_rows()
         self._weigh()
 
+    def _grams_of_rows(self) -> np.ndarray:
+        """(rows, k, k) products of the nominal numbers' columns over each balance's used samples."""
+        k, rows = len(self.J), len(self.balances.rows)
+        split = self.J.reshape(k, rows, self.time.size)
+        out = np.empty((rows, k, k))
+        for row in range(rows):
+            part = split[:, row] * self.used
+            out[row] = part @ part.T
+        return out
+
     def _weigh(self) -> None:
+        # J is never stored weighted: it is by far the largest array there is
         self.weights = np.outer(1.0 / np.sqrt(self.temper), self.used).ravel()
-        self.weighted = self.J * self.weights
-        self.gram = self.weighted @ self.weighted.T + np.eye(len(self.J))
+        self.squares = np.outer(1.0 / self.temper, self.used).ravel()
+        self.gram = np.tensordot(1.0 / self.temper, self._grams, 1) + np.eye(len(self.J))
         self._gram = cho_factor(self.gram)
 
     def at(self, temper: np.ndarray) -> Workspace:
@@ -71,6 +84,7 @@ class Workspace:
         """The same workspace with only some samples (bool, as many as `time`) counted."""
         other = copy.copy(self)
         other.used = used.astype(float)
+        other._grams = other._grams_of_rows()
         other._weigh()
         return other
 
@@ -94,8 +108,10 @@ class Workspace:
         at least 1."""
         rest = self.rest(y).reshape(len(self.balances.rows), -1)
         count = rest.shape[1]
-        spectrum = np.abs(np.fft.rfft(rest, 2 * count, axis=1)) ** 2
-        correlation = np.fft.irfft(spectrum, axis=1)[:, : count // 4]
+        longest = count // 4
+        size = fft.next_fast_len(count + longest, real=True)  # no lag that is used wraps around
+        spectrum = np.abs(fft.rfft(rest, size, axis=1)) ** 2
+        correlation = fft.irfft(spectrum, size, axis=1)[:, :longest]
         correlation = correlation / np.maximum(correlation[:, :1], 1e-300)
         past = np.cumsum(correlation < 0.05, axis=1) > 0
         length = 1.0 + 2.0 * np.sum(np.where(past, 0.0, correlation)[:, 1:], axis=1)
@@ -143,8 +159,8 @@ class Workspace:
     # ------------------------------------------------------------------ inner products
     def energy(self, y: np.ndarray) -> float:
         """Q(y, y)."""
+        pull = self.J @ (y * self.squares)
         y = y * self.weights
-        pull = self.weighted @ y
         return float(y @ y - pull @ cho_solve(self._gram, pull))
 
     def judged_energy(self, y: np.ndarray, effects: Sequence[Planned]) -> float:
@@ -170,8 +186,10 @@ class Workspace:
 
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Q between columns a (k, samples) and b (l, samples): (k, l)."""
-        a, b = a * self.weights, b * self.weights
-        return a @ b.T - (a @ self.weighted.T) @ cho_solve(self._gram, self.weighted @ b.T)
+        weighted = a * self.squares
+        by_a = weighted @ self.J.T
+        by_b = by_a if b is a else (b * self.squares) @ self.J.T
+        return weighted @ b.T - by_a @ cho_solve(self._gram, by_b.T)
 
     def against(self, a: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(k,) Q between columns a (k, samples) and a residual y (samples,)."""
@@ -179,7 +197,7 @@ class Workspace:
 
     def deviations(self, y: np.ndarray) -> np.ndarray:
         """Deviations of the nominal numbers, in prior deviations, that explain most of a residual y."""
-        return cho_solve(self._gram, self.weighted @ (y * self.weights))
+        return cho_solve(self._gram, self.J @ (y * self.squares))
 
     def deviation_errors(self) -> np.ndarray:
         """Standard errors of `deviations`."""
@@ -191,7 +209,7 @@ class Workspace:
 
     def project(self, a: np.ndarray) -> np.ndarray:
         """Columns a (k, samples) with what the nominal numbers can explain of them taken out."""
-        return a - cho_solve(self._gram, self.weighted @ (a * self.weights).T).T @ self.J
+        return a - cho_solve(self._gram, self.J @ (a * self.squares).T).T @ self.J
 
     @property
     def noise_energy(self) -> float:
