@@ -62,8 +62,9 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     """The whitening of these balances under a model with these effects; `torque_scale` (m,) is each
     balance's torque RMS [N m]. Effects matter: a payload's inertia turns more encoder noise into torque."""
     window = balances.filter
-    band = int(np.searchsorted(-window.gain, -CUT_GAIN))
-    length = 2 * (band - 1)
+    # the band ends a little later, where that makes a length that transforms fast
+    length = 2 * fft.next_fast_len(int(np.searchsorted(-window.gain, -CUT_GAIN)) - 1, real=True)
+    band = length // 2 + 1
     omega, gain = window.omega[:band], window.gain[:band]
     transfer, variances, extra = _transfer(balances, omega, effects)
     spectrum = np.einsum("fak,k,fbk->fab", transfer, variances, transfer.conj()) + extra
