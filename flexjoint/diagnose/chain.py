@@ -24,7 +24,7 @@ REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trus
 WIDE = 3.0  # standard deviations of the net torque's noise by which its clip is widened
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
-REMEMBERED = 6e7  # bytes of chains
+REMEMBERED = 4e7  # bytes of chains
 
 
 @dataclass(frozen=True)

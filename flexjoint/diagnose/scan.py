@@ -23,7 +23,7 @@ from flexjoint.effect import Planned
 BLOCKS = 16  # time blocks at whose edges an onset is tried
 ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferred
 RIDGE = 1e-7  # of a tangent of unit length
-MEMORY = 2e8  # bytes of traces that are remembered between scans
+MEMORY = 2e8  # bytes of the tolerances' columns and of traces that are remembered between scans
 PART = 6  # candidates that a thread takes at a time
 BATCH = 32  # columns whose products are taken together
 
@@ -125,17 +125,17 @@ class Scanner:
             yield kept
             if remembered is not None:
                 remembered.append(kept)
-                if not self._room(kept.columns.nbytes):
-                    self._room(-sum(k.columns.nbytes for k in remembered))
+                if not self._room(kept.columns.nbytes, workspace.J.nbytes):
+                    self._room(-sum(k.columns.nbytes for k in remembered), workspace.J.nbytes)
                     remembered = None
         if remembered is not None:
             self._traces[key] = remembered
 
-    def _room(self, size: int) -> bool:
-        """Take so many bytes of the memory; whether they were left."""
+    def _room(self, size: int, held: int) -> bool:
+        """Take so many bytes of the memory, beside those held by others; whether they were left."""
         with self._lock:
             self._bytes += size
-            return self._bytes <= MEMORY
+            return self._bytes + held <= MEMORY
 
 
 def _kept(trace: Trace, rows: int) -> _Kept:
@@ -193,11 +193,12 @@ class _Against:
         self.starts = workspace.balances.chains.t[0] + time[edges]
         fixed, free = len(workspace.J), len(current.tangents)
         tangents = current.tangents * workspace.weights
-        tangents = tangents / np.maximum(np.sqrt(np.sum(tangents**2, axis=1)), 1e-9)[:, None]
-        squares, y = workspace.squares, current.y * workspace.weights
+        size = np.maximum(np.sqrt(np.sum(tangents**2, axis=1)), 1e-9)[:, None]
+        tangents = tangents / size
+        y = current.y * workspace.weights
         gram = np.zeros((fixed + free, fixed + free))
         gram[:fixed, :fixed] = workspace.gram
-        pull = workspace.J @ (current.y * squares)
+        pull = workspace.J @ (current.y * workspace.squares)
         if free:
             gram[fixed:, :fixed] = (tangents * workspace.weights) @ workspace.J.T
             gram[fixed:, fixed:] = tangents @ tangents.T
@@ -207,29 +208,31 @@ class _Against:
             pull = np.concatenate([pull, tangents @ y])
         self.factor = cho_factor(gram)
         self.pulled = cho_solve(self.factor, pull)
-        self.weights = workspace.weights.reshape(self.rows, -1)
+        self.squares = workspace.squares.reshape(self.rows, -1)
         ends = [*edges[1:], time.size]
         self.slices = [slice(a, b) for a, b in zip(edges, ends, strict=True)]
-        # per block: nuisance, tangents and residual (p + 1, rows, samples), weighted
-        parts = [x.reshape(len(x), self.rows, time.size) for x in (workspace.J, tangents, y[None])]
-        self.blocks = []
-        for s in self.slices:
-            block = np.concatenate([part[:, :, s] for part in parts])
-            block[:fixed] *= self.weights[:, s]
-            self.blocks.append(block)
+        # what columns are multiplied by, (p, rows, samples) each: the nominal numbers' columns as they are,
+        # for there is no room to copy them; tangents and residual
+        self.fixed = workspace.J.reshape(fixed, self.rows, time.size)
+        free_part = np.concatenate([current.tangents / size, current.y[None]])
+        self.free = free_part.reshape(free + 1, self.rows, time.size)
 
     def tails(self, batch: Sequence[_Kept]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Projected curvature and force of each trace's columns, switched on at each block's start. The
         traces begin at the same balance."""
         first = batch[0].first
-        columns = np.concatenate([kept.columns for kept in batch]) * self.weights[first:]
         own, across = [], []
-        for s, block in zip(self.slices, self.blocks, strict=True):
-            part = columns[:, :, s].reshape(len(columns), -1)
-            own.append(part @ part.T)
-            across.append(part @ block[:, first:].reshape(len(block), -1).T)
-        curvature, products = (np.cumsum(np.array(x)[::-1], axis=0)[::-1] for x in (own, across))
-        through, with_y = products[:, :, :-1], products[:, :, -1]
+        for s in self.slices:
+            columns = np.concatenate([kept.columns[:, :, s] for kept in batch])
+            weighted = columns * self.squares[first:, s]
+            own.append(weighted.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T)
+            products = [
+                np.hstack([weighted[:, r - first] @ part[:, r, s].T for part in (self.fixed, self.free)])
+                for r in range(first, self.rows)
+            ]
+            across.append(np.sum(products, axis=0))
+        curvature, both = (np.cumsum(np.array(x)[::-1], axis=0)[::-1] for x in (own, across))
+        through, with_y = both[:, :, :-1], both[:, :, -1]
         solved = cho_solve(self.factor, through.reshape(-1, through.shape[2]).T).T.reshape(through.shape)
         force = with_y - through @ self.pulled
         out, start = [], 0
