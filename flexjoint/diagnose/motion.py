@@ -63,7 +63,7 @@ class Rigid:
     mass: np.ndarray  # (N, n, n)
     regressor: Regressor
     by_gravity: np.ndarray  # (3, n, N) torque per unit of gravity along each base axis
-    inertial: np.ndarray  # (n, 10) nominal parameters of those bodies
+    inertial: np.ndarray  # (n, 10) nominal parameters of those bodies, known payloads left out
     gravity: np.ndarray  # (3,)
 
 
@@ -255,7 +255,8 @@ def along(
     by_gravity = np.stack(
         [PinBody(model, gravity=axis).rnea_batch(at, still, still)[:, rows].T for axis in np.eye(3)]
     )
-    inertial = body.inertial[[joint.pin_id - 1 for joint in robot.joints]]
+    own = body.inertial if robot.own_inertial is None else robot.own_inertial
+    inertial = own[[joint.pin_id - 1 for joint in robot.joints]]
     return Rigid(
         2.0 * quarter - half,
         by_q[pick],

@@ -35,15 +35,15 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
     notes: list[str] = []
     while selection.best.effects:
         best = selection.best
-        certainty = [
-            _certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
+        certain = [
+            certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
         ]
-        worst = int(np.argmin(certainty))
-        if certainty[worst] >= SURE:
+        worst = int(np.argmin(certain))
+        if certain[worst] >= SURE:
             break
         notes.append(
             f"{best.effects[worst]} would make the balance smaller, but its size is known to"
-            f" {certainty[worst]:.1f} standard errors only: not named"
+            f" {certain[worst]:.1f} standard errors only: not named"
         )
         selection = without(selection, best.effects[worst])
     return selection, tuple(notes)
@@ -65,7 +65,7 @@ def without(selection: Selection, effect: Planned) -> Selection:
     )
 
 
-def _certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:
+def certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:
     """Distance of an effect from its absence, in standard errors of the number that is furthest from it."""
     listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
     distance = [0.0]
