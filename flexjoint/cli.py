@@ -78,6 +78,13 @@ def _parser() -> argparse.ArgumentParser:
     diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
     diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="CSV or Parquet table")
     cli_robot.add_arguments(diagnose)
+    diagnose.add_argument(
+        "--payload",
+        action="append",
+        default=[],
+        metavar="REC:JOINT=KG,X,Y,Z",
+        help="a known load in one of the recordings, its centre in the link frame [m]; may be repeated",
+    )
     diagnose.add_argument("--json", type=Path, metavar="OUT.json", help="write the diagnosis as JSON")
     diagnose.add_argument("--report", type=Path, metavar="OUT.html", help="write a page to read")
     diagnose.add_argument("--model", type=Path, metavar="OUT.yaml", help="write the extended robot")
@@ -176,6 +183,7 @@ def _diagnose(arguments: argparse.Namespace) -> None:
     from flexjoint.checks import check
     from flexjoint.diagnose import diagnose, extended_model
     from flexjoint.diagnosis import to_json
+    from flexjoint.known_payload import parse
     from flexjoint.terminal import Progress, no_progress, summary
 
     asked = cli_outputs.Asked(arguments.json, arguments.report, arguments.model)
@@ -184,8 +192,10 @@ def _diagnose(arguments: argparse.Namespace) -> None:
     recordings = [recording.read(path) for path in arguments.recordings]
     for table in recordings:
         check(nominal, table)
+    payloads = parse(arguments.payload, [str(path) for path in arguments.recordings])
     with Progress() as bar:
-        diagnosis = diagnose(nominal, recordings, progress=no_progress if arguments.quiet else bar)
+        shown = no_progress if arguments.quiet else bar
+        diagnosis = diagnose(nominal, recordings, progress=shown, payloads=payloads)
     extended = extended_model(nominal, diagnosis)
     page = None
     if asked.report is not None:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import clockwork
+from flexjoint import engine
 from flexjoint.clock import on_regular_clock
-from flexjoint.clockwork import Past, Trajectory, longest_delay, physics_rate, readings, rollout
+from flexjoint.clockwork import Past, Trajectory, longest_delay, physics_rate, readings
 from flexjoint.control import Law, law_of
 from flexjoint.errors import RecordingError
 from flexjoint.estimate import Motion, StateEstimator
@@ -73,7 +73,7 @@ def compare(
         )
     starts = begin + horizon * np.arange(windows)
     estimator = StateEstimator(recording, model)
-    driver = _Driver(recording, model, estimator, horizon, closed_loop)
+    driver = _Driver(recording, model, estimator, horizon, windows, closed_loop)
     simulated = {
         key: np.full(len(recording.time), np.nan)
         for key in recording.columns
@@ -102,8 +102,10 @@ class _Driver:
         model: FlexibleJointModel,
         estimator: StateEstimator,
         horizon: float,
+        windows: int,
         closed_loop: bool,
     ) -> None:
+        self.windows = windows
         self.recording, self.model, self.estimator = recording, model, estimator
         self.rate = physics_rate(model.robot)
         self.control = model.robot.rates.control
@@ -134,10 +136,12 @@ class _Driver:
             edges = start + np.arange(-self.before, steps + 1) / self.rate
             torque = torque_over(self.recording, self.joints, edges, self.control)
             past = self._past(start, torque[: self.before])
-            return rollout(self.model, state, torque[self.before :], self.rate, past)
+            return engine.rollout(
+                self.model, state, torque[self.before :], self.rate, past, runs=self.windows
+            )
         table = references_at(self.model, self.recording, start + np.arange(self.ticks) / self.control)
         past = self._past(start, self._commanded(start, self.law)) if self.before else None
-        return clockwork.closed_loop(self.model, state, self.law, table, self.rate, past)
+        return engine.closed_loop(self.model, state, self.law, table, self.rate, past, runs=self.windows)
 
     def _past(self, start: float, torque: np.ndarray) -> Past | None:
         """The motion before a start as measured; before the recording its first state holds."""

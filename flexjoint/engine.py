@@ -41,14 +41,16 @@ def rollout(
     scheme: str = DEFAULT,
     width: float | None = None,
     engine: Engine = "auto",
+    runs: int = 1,
 ) -> Trajectory:
-    """`flexjoint.clockwork.rollout` by the engine: auto, compiled or pin.
+    """`flexjoint.clockwork.rollout` by the engine: auto, compiled or pin. `auto` counts the steps of all
+    `runs` of this length that the caller is about to make.
 
     Raises what that raises, UnknownNameError for another engine, and for `compiled` CompilerError where
     there is no compiler.
     """
     torque = check_torque(model, torque)
-    compiled = choose(model, len(torque), rate, None, (), scheme, width, engine)
+    compiled = choose(model, runs * len(torque), rate, None, (), scheme, width, engine)
     if compiled is None:
         return clockwork.rollout(model, start, torque, rate, past, scheme, width)
     return _run(compiled, model, start, None, torque, past)
@@ -64,11 +66,12 @@ def closed_loop(
     scheme: str = DEFAULT,
     width: float | None = None,
     engine: Engine = "auto",
+    runs: int = 1,
 ) -> Trajectory:
     """`flexjoint.clockwork.closed_loop` by the engine: as `rollout`."""
     ticks = check_references(references, len(model.joints))
     steps = Ticks(rate, model.robot.rates.control).steps(ticks)
-    compiled = choose(model, steps, rate, law, REFERENCES, scheme, width, engine)
+    compiled = choose(model, runs * steps, rate, law, REFERENCES, scheme, width, engine)
     if compiled is None:
         return clockwork.closed_loop(model, start, law, references, rate, past, scheme, width)
     return _run(compiled, model, start, law, compiled.references(references), past)

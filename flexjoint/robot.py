@@ -66,6 +66,7 @@ class Robot:
     disabled: tuple[str, ...] = ()
     preset: str | None = None
     contacts: tuple[GroundContact, ...] = ()  # with the ground, of a floating base
+    own_inertial: np.ndarray | None = None  # (bodies, 10) without a known payload, which has no tolerance
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from study.score import detectable, outcome, struck_outcome
 from study.summary import Rate
 
 # a fixed sample of the cases of `make study`: what every change must keep
-NAMED = (("single", 37), ("single", 148), ("single", 185), ("single", 333), ("double", 0))
+NAMED = (("single", 37), ("single", 148), ("single", 185), ("single", 333), ("double", 0), ("several", 6))
 HEALTHY = (0, 1, 2, 3)
 STRUCK = (74,)
 
@@ -108,7 +108,7 @@ def test_errors_are_measured_in_standard_errors() -> None:
 
 # --- cases ------------------------------------------------------------------------------------------------
 def test_cases_are_drawn_from_their_number_alone() -> None:
-    for part in ("single", "double", "healthy", "struck"):
+    for part in COUNTS:
         assert make(part, 7) == make(part, 7) != make(part, 6)
     with pytest.raises(ValueError, match="unknown part"):
         make("triple", 0)

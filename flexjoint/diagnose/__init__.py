@@ -20,6 +20,7 @@ from flexjoint.diagnose.workspace import Workspace, balances_of
 from flexjoint.diagnosis import Diagnosis
 from flexjoint.effect import catalogue
 from flexjoint.errors import RecordingError, unknown
+from flexjoint.known_payload import KnownPayload
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
@@ -35,6 +36,7 @@ def diagnose(
     *,
     progress: Progress | None = None,
     excluded: frozenset[str] = frozenset(),
+    payloads: Sequence[KnownPayload | None] = (),
 ) -> Diagnosis:
     """Name what the nominal model gets wrong on the recordings; measure the gain on held-out blocks of the
     first, whose residuals and onsets are the ones reported.
@@ -44,10 +46,12 @@ def diagnose(
         recordings: at least one; several are explained together, by one set of causes and numbers.
         progress: called with a share in [0, 1] and what is being done.
         excluded: names of effects that are left out of the catalogue.
+        payloads: what was added to the robot in each recording and is known (None: nothing); empty: nothing
+            in any. It is part of that recording's nominal model; the causes are common to all.
 
     Raises:
-        RecordingError: the recording cannot be used with this robot.
-        UnknownNameError: an excluded name is no effect.
+        RecordingError: the recording cannot be used with this robot, or not one payload for each.
+        UnknownNameError: an excluded name is no effect, or a payload's joint is none of the robot's.
     """
     if not recordings:
         raise RecordingError("no recording given; expected at least one")
@@ -55,7 +59,8 @@ def diagnose(
         if name not in catalogue():
             raise unknown("effect", name, catalogue())
     report: Progress = progress or (lambda _share, _what: None)
-    recording = recordings[0]
+    recording, robots = recordings[0], _loaded(robot, recordings, payloads)
+    robot = robots[0]
     report(0.0, "preparing the balances")
     balances = balances_of(robot, recording)
     refusal = _refusal(balances)
@@ -69,11 +74,16 @@ def diagnose(
     spread: Mapping[Key, Errors] = {}
     if len(recordings) > 1:
         others = [
-            _searched(robot, other, excluded, _part(report, k * share, share))
+            _searched(robots[k], other, excluded, _part(report, k * share, share))
             for k, other in enumerate(recordings[1:], start=1)
         ]
         together = combine([selection, *others])
         selection, spread, notes = together.selection, together.errors, notes + together.notes
+    notes += tuple(
+        f"{other.name} was recorded with a known payload of {payload}"
+        for other, payload in zip(recordings, payloads, strict=False)
+        if payload is not None
+    )
     report(0.92, "measuring the gain on held-out data")
     selection, measured, worse = held_out.confirmed(robot, recording, workspace, selection)
     notes += worse
@@ -90,7 +100,7 @@ def diagnose(
         for finding in doubtful:
             selection = verdict.without(selection, finding.planned)
             notes += (f"something like {finding.planned} would help, but others fit as well: not named",)
-        measured = held_out.comparison(robot, recording, workspace, selection.best)
+        measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
     found = verdict.merged(found, candidates)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)
@@ -113,6 +123,18 @@ def diagnose(
             float(np.mean(best.workspace.temper)),
         ),
     )
+
+
+def _loaded(
+    robot: Robot, recordings: Sequence[Recording], payloads: Sequence[KnownPayload | None]
+) -> list[Robot]:
+    """The nominal robot of each recording."""
+    if payloads and len(payloads) != len(recordings):
+        raise RecordingError(
+            f"expected a known payload, or None, for each of {len(recordings)} recordings,"
+            f" got {len(payloads)}"
+        )
+    return [robot if load is None else load.on(robot) for load in payloads or [None] * len(recordings)]
 
 
 def _searched(robot: Robot, recording: Recording, excluded: frozenset[str], report: Progress) -> Selection:

@@ -116,7 +116,7 @@ class Balances:
 
     def inertial_torque(self, i: int, added: np.ndarray) -> np.ndarray:
         """(n, N) torques of a change (10,) of the inertial parameters of joint i's link."""
-        return np.einsum("tjk,k->jt", self.motion.rigid.regressor[:, :, 10 * i : 10 * i + 10], added)
+        return self.motion.rigid.regressor.torque(i, added)
 
 
 class TwinBalances(Balances):

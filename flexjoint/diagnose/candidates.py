@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,25 +137,26 @@ def _moves(workspace: Workspace, i: int) -> bool:
     )
 
 
-def traces(workspace: Workspace, candidate: Candidate, base: Sequence[Planned], y: np.ndarray) -> list[Trace]:
+def traces(
+    workspace: Workspace, candidate: Candidate, base: Sequence[Planned], y: np.ndarray
+) -> Iterator[Trace]:
     """First-order traces of a candidate on top of `base`, whose whitened residual is y, one per start."""
     effect = candidate.effect
     if effect.site is Site.BODY and effect.overrides("edit_inertial"):
-        return inertial_traces(workspace, candidate, y)
+        yield inertial_trace(workspace, candidate, y)
+        return
     listed = next((e for e in base if e.key == candidate.key), None)
     phase = [p.name for p in effect.params if p.wraps]
     starts: Sequence[Mapping[str, Any]] = effect.starts(workspace.signals(candidate.joint))
     if listed is not None:
         starts = [{p.name: listed.values[p.name] for p in effect.params if p.null is None}]
-    out = []
     seen: set[tuple[tuple[str, Any], ...]] = set()
     for start in starts:
         kept = {k: v for k, v in start.items() if k not in phase}
         key = tuple(sorted(kept.items()))
         if key not in seen:
             seen.add(key)
-            out.append(_trace(workspace, candidate, base, kept, phase, listed))
-    return out
+            yield _trace(workspace, candidate, base, kept, phase, listed)
 
 
 def _trace(
@@ -214,7 +215,7 @@ def trial_size(workspace: Workspace, candidate: Candidate, param: Param) -> floa
     return float(np.clip(by_unit.get(param.unit, param.value), param.low, param.high))
 
 
-def inertial_traces(workspace: Workspace, candidate: Candidate, y: np.ndarray) -> list[Trace]:
+def inertial_trace(workspace: Workspace, candidate: Candidate, y: np.ndarray) -> Trace:
     """A change of a link's inertial parameters: the residual is linear in the ten of them, so that the
     effect's own few parameters are found on a quadratic form, without touching the signals again."""
     assert candidate.joint is not None
@@ -226,8 +227,11 @@ def inertial_traces(workspace: Workspace, candidate: Candidate, y: np.ndarray) -
     amplitude = effect.nulls[0]
     shape = next(p for p in effect.params if p.size > 1)
 
+    record = candidate.planned({}).p
+
     def added(x: np.ndarray) -> np.ndarray:
-        p = candidate.planned({amplitude.name: x[0], shape.name: tuple(x[1:])}).p
+        mass, *place = x.tolist()
+        p = record._replace(**{amplitude.name: mass, shape.name: place})
         return np.array(effect.edit_inertial([0.0] * 10, p), dtype=float)
 
     def energy(x: np.ndarray) -> float:
@@ -247,4 +251,4 @@ def inertial_traces(workspace: Workspace, candidate: Candidate, y: np.ndarray) -
     mass = float(np.clip(best[1][0], amplitude.low, amplitude.high))
     values = {amplitude.name: mass, shape.name: tuple(float(v) for v in best[1][1:])}
     column = added(np.concatenate([[mass], best[1][1:]])) @ moments
-    return [Trace(candidate, values, column[None], "whole", {amplitude.name: mass}, {amplitude.name: 0.0})]
+    return Trace(candidate, values, column[None], "whole", {amplitude.name: mass}, {amplitude.name: 0.0})

@@ -6,9 +6,11 @@ evaluated on unfiltered positions, then filtered (a filter does not commute with
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from threading import Lock
 
 import numpy as np
 from scipy import fft
@@ -22,7 +24,7 @@ REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trus
 WIDE = 3.0  # standard deviations of the net torque's noise by which its clip is widened
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
-CACHED = 256
+REMEMBERED = 4e7  # bytes of chains
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,10 @@ class Chain:
     reading: np.ndarray  # tau_t, corrected
     q_change: np.ndarray | None  # what sensor effects change of the link angle; None: nothing
 
+    @property
+    def nbytes(self) -> int:
+        return 4 * self.motor.nbytes
+
 
 class Chains:
     """Chains of all joints along one motion, remembered by the effects on them."""
@@ -45,7 +51,8 @@ class Chains:
         self.period = motion.readings.period
         self.t = motion.readings.time - motion.readings.start
         self.floating = motion.robot.file.offsets == "per_recording"
-        self._cache: dict[object, Chain] = {}
+        self._cache: OrderedDict[object, Chain] = OrderedDict()  # the latest last
+        self._lock = Lock()
         self._bases: dict[int, Base] = {}
 
     def base(self, i: int) -> Base:
@@ -56,11 +63,16 @@ class Chains:
     def get(self, i: int, effects: Sequence[Planned]) -> Chain:
         """The chain of joint i with these effects of its own at work."""
         key = (i, *(identity(e) for e in effects))
-        if key not in self._cache:
-            if len(self._cache) >= CACHED:
-                self._cache.clear()
-            self._cache[key] = self._chain(i, effects)
-        return self._cache[key]
+        with self._lock:
+            if key in self._cache:
+                self._cache.move_to_end(key)
+                return self._cache[key]
+        chain = self._chain(i, effects)
+        with self._lock:
+            self._cache[key] = chain
+            if len(self._cache) * chain.nbytes > REMEMBERED:
+                self._cache.popitem(last=False)
+        return chain
 
     def _chain(self, i: int, effects: Sequence[Planned]) -> Chain:
         joint, base, s = self.motion.robot.joints[i], self.base(i), self.jomega

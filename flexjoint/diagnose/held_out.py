@@ -41,7 +41,7 @@ def gains(workspace: Workspace, best: Fit) -> list[float]:
 
     def error(effects: Sequence[Planned]) -> float:
         fitted = fit(seen, effects)
-        rest = (fitted.y - seen.deviations(fitted.y) @ workspace.J) * unseen.weights
+        rest = fitted.workspace.rest(fitted.y) * unseen.weights
         return float(rest @ rest)
 
     everything, none = error(best.effects), error([])
@@ -64,7 +64,7 @@ def confirmed(
     while measured is not None and selection.best.effects:
         worse = [e for e in selection.best.effects if e.joint is not None and _worsened(measured, e.joint)]
         if worse:
-            fair = comparison(robot, recording, workspace, selection.best, selection.nothing)
+            fair = comparison(robot, recording, workspace, selection.best, nothing=selection.nothing)
             worse = [e for e in worse if fair is not None and _worsened(fair, str(e.joint))]
         if not worse:
             break
@@ -73,7 +73,7 @@ def confirmed(
         best = fit(selection.best.workspace, [selection.best.effects[k] for k in keep])
         rivals = tuple(selection.rivals[k] for k in keep)
         trial = replace(selection, best=best, rivals=rivals)
-        again = comparison(robot, recording, workspace, best)
+        again = comparison(robot, recording, workspace, best, measured)
         if again is None or _size(again, dropped.joint) > 0.95 * _size(measured, dropped.joint):
             break
         notes.append(f"{dropped} would make the balance smaller but the simulation worse: not named")
@@ -93,11 +93,17 @@ def _size(gain: Gain, joint: str | None, when: str = "after") -> float:
 
 
 def comparison(
-    robot: Robot, recording: Recording, workspace: Workspace, best: Fit, nothing: Fit | None = None
+    robot: Robot,
+    recording: Recording,
+    workspace: Workspace,
+    best: Fit,
+    known: Gain | None = None,
+    nothing: Fit | None = None,
 ) -> Gain | None:
     """Simulation against the held-out blocks, before and after; the parameters come from the other blocks.
-    With `nothing`, the fit without causes, each of the two has its nominal numbers where it would have them
-    by their tolerances. None where the recording cannot drive a simulation."""
+    None where the recording cannot drive a simulation. Of `known`, an earlier comparison, the nominal model's
+    part is taken. With `nothing`, the fit without causes, each of the two has its nominal numbers where it
+    would have them by their tolerances."""
     away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time)
     held_out = bool(np.any(away) and not np.all(away))
     if held_out:
@@ -107,25 +113,21 @@ def comparison(
         if held_out:
             nothing = fit(workspace.at(nothing.workspace.temper).only(~away), [])
         first, last = robot.extended(shifts(nothing)), last.extended(shifts(best))
-    try:
-        before = compare(recording, FlexibleJointModel(first), HORIZON)
-        after = before
-        if best.effects:
-            after = compare(recording, FlexibleJointModel(last), HORIZON)
-    except FlexJointError:
-        return None
     rows = (
         held_out_blocks(recording.time - recording.time[0])
         if held_out
         else np.ones(len(recording.time), bool)
     )
-    return Gain(
-        held_out,
-        HORIZON,
-        errors(recording, before, rows),
-        errors(recording, after, rows),
-        {"rms": noise_floor(robot, recording)},
-    )
+
+    def measured(model: Robot) -> dict[str, Mapping[str, float]]:
+        return errors(recording, compare(recording, FlexibleJointModel(model), HORIZON), rows)
+
+    try:
+        before = measured(first) if known is None else known.before
+        after = measured(last) if best.effects else before
+    except FlexJointError:
+        return None
+    return Gain(held_out, HORIZON, before, after, {"rms": noise_floor(robot, recording)})
 
 
 def errors(recording: Recording, run: Comparison, rows: np.ndarray) -> dict[str, Mapping[str, float]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import fft
@@ -16,6 +17,40 @@ from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
 DRIVEN_SUBSTEPS = 2  # per sample, where a link's motion is simulated from its motor's
+REGRESSOR_CHUNK = 1000  # samples evaluated at a time
+
+
+class Regressor:
+    """Torques per unit of each actuated body's ten inertial parameters along a motion, evaluated when they
+    are first asked for. A body loads the joints that carry it: only those are kept."""
+
+    def __init__(self, robot: Robot, at: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+        self._robot, self._motion = robot, (at, v, a)
+
+    @cached_property
+    def _bodies(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Per actuated body: the joints (k,) that it loads, and their torques (10, k, N)."""
+        joints, count = self._robot.joints, len(self._motion[0])
+        loaded = []
+        for joint in joints:
+            carried_by = set(self._robot.model.supports[joint.pin_id])
+            loaded.append(np.array([k for k, other in enumerate(joints) if other.pin_id in carried_by]))
+        out = [(rows, np.empty((10, rows.size, count))) for rows in loaded]
+        body, rows_v = PinBody(self._robot.model), np.array([joint.idx_v for joint in joints])
+        columns = [10 * (joint.pin_id - 1) + np.arange(10) for joint in joints]
+        for first in range(0, count, REGRESSOR_CHUNK):
+            part = slice(first, first + REGRESSOR_CHUNK)
+            whole = body.regressor_batch(*(x[part] for x in self._motion))
+            for (rows, kept), column in zip(out, columns, strict=True):
+                kept[:, :, part] = whole[:, rows_v[rows][:, None], column].transpose(2, 1, 0)
+        return out
+
+    def torque(self, i: int, added: np.ndarray) -> np.ndarray:
+        """(n, N) torques of a change (10,) of the inertial parameters of joint i's link."""
+        rows, kept = self._bodies[i]
+        out = np.zeros((len(self._robot.joints), kept.shape[2]))
+        out[rows] = np.tensordot(added, kept, 1)
+        return out
 
 
 @dataclass(frozen=True)
@@ -26,9 +61,9 @@ class Rigid:
     by_q: np.ndarray  # (N, n, n) d tau / d q
     by_v: np.ndarray  # (N, n, n)
     mass: np.ndarray  # (N, n, n)
-    regressor: np.ndarray  # (N, n, 10 n) columns of the bodies of the actuated joints
+    regressor: Regressor
     by_gravity: np.ndarray  # (3, n, N) torque per unit of gravity along each base axis
-    inertial: np.ndarray  # (n, 10) nominal parameters of those bodies
+    inertial: np.ndarray  # (n, 10) nominal parameters of those bodies, known payloads left out
     gravity: np.ndarray  # (3,)
 
 
@@ -198,12 +233,10 @@ def along(
     window: Filter,
     q: np.ndarray,
     passive: dict[str, np.ndarray],
-    inertial: np.ndarray | None = None,
 ) -> Rigid:
-    """Rigid-body torques and sensitivities along link angles q (n, N); `inertial` (bodies, 10) replaces the
-    nominal inertial parameters."""
+    """Rigid-body torques and sensitivities along link angles q (n, N)."""
     model, count = robot.model, window.count
-    body = PinBody(model, inertial=inertial)
+    body = PinBody(model)
     rows = [joint.idx_v for joint in robot.joints]
 
     # RNEA(F q) differs from F RNEA(q) by a term in the window's variance. With shares 1/4 and 1/2 of the
@@ -218,23 +251,31 @@ def along(
     at, v, a = whole_motion(robot, window, q, passive, 1.0)
     by_q, by_v, mass = body.rnea_derivatives_batch(at, v, a)
     pick = np.ix_(np.arange(count), np.array(rows), np.array(rows))
-    bodies = np.concatenate([10 * (joint.pin_id - 1) + np.arange(10) for joint in robot.joints])
-    regressor = body.regressor_batch(at, v, a)[np.ix_(np.arange(count), np.array(rows), bodies)]
     still = np.zeros_like(v)
     by_gravity = np.stack(
         [PinBody(model, gravity=axis).rnea_batch(at, still, still)[:, rows].T for axis in np.eye(3)]
     )
-    inertial = body.inertial[[joint.pin_id - 1 for joint in robot.joints]]
+    own = body.inertial if robot.own_inertial is None else robot.own_inertial
+    inertial = own[[joint.pin_id - 1 for joint in robot.joints]]
     return Rigid(
         2.0 * quarter - half,
         by_q[pick],
         by_v[pick],
         mass[pick],
-        regressor,
+        Regressor(robot, at, v, a),
         by_gravity,
         inertial,
         robot.gravity,
     )
+
+
+def mass_along(motion: Motion, inertial: np.ndarray) -> np.ndarray:
+    """(N, n, n) mass matrices along the filtered motion with other inertial parameters (bodies, 10)."""
+    robot = motion.robot
+    at, _, _ = whole_motion(robot, motion.filter, motion.q, motion.passive, 1.0)
+    body = PinBody(robot.model, inertial=inertial)
+    pick = np.ix_(*2 * [[joint.idx_v for joint in robot.joints]])
+    return np.array([body.mass_matrix(row)[pick] for row in at])
 
 
 def _back(window: Filter, spectrum: np.ndarray) -> np.ndarray:

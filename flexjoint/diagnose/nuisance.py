@@ -99,7 +99,9 @@ class Columns:
         columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
         if self.robot.file.offsets == "per_recording":
             columns += self._offset_columns()
-        self.matrix = np.array(columns) if columns else np.zeros((0, self.samples))
+        self.matrix = np.empty((len(columns), self.samples))
+        for k in range(len(columns)):  # each is freed as it is taken over: together they are large
+            self.matrix[-1 - k] = columns.pop()
 
     def _drive_columns(self) -> list[np.ndarray]:
         tolerance = self.robot.tolerance

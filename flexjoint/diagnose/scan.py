@@ -1,9 +1,16 @@
-"""First-order score of every candidate on top of a set of effects, with its onset scanned alongside."""
+"""First-order score of every candidate on top of a set of effects, with its onset scanned alongside.
+
+Candidates are shared out to threads in parts that do not depend on how many threads there are, and a trace
+depends on nothing but its candidate and the effects of its own joint: the bits are the same for any number.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from threading import Lock
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -16,12 +23,15 @@ from flexjoint.effect import Planned
 BLOCKS = 16  # time blocks at whose edges an onset is tried
 ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferred
 RIDGE = 1e-7  # of a tangent of unit length
-MEMORY = 4e8  # bytes of traces that are remembered between scans
+MEMORY = 2e8  # bytes of the tolerances' columns and of traces that are remembered between scans
+PART = 6  # candidates that a thread takes at a time
+BATCH = 32  # columns whose products are taken together
 
 
 @dataclass(frozen=True)
 class Scored:
-    """A candidate at its best start and onset, and the energy that it would remove to first order."""
+    """A candidate at its best start and onset, and the energy that it would remove to first order. The
+    trace's columns are not kept."""
 
     trace: Trace
     amplitude: np.ndarray
@@ -37,48 +47,121 @@ class Scored:
         return self.candidate.planned(self.trace.values(self.amplitude), self.since)
 
 
-class Scanner:
-    """Scans candidates; traces that an added effect does not touch are remembered."""
+@dataclass(frozen=True)
+class _Kept:
+    """A trace with its columns (k, rows - first, K), from the first balance on in which it leaves a mark."""
 
-    def __init__(self, candidates: Sequence[Candidate]) -> None:
+    trace: Trace  # without columns
+    first: int
+    columns: np.ndarray
+
+    @property
+    def sight(self) -> float:
+        return float(np.sqrt(np.max(np.sum(self.columns**2, axis=(1, 2)))))
+
+
+class Scanner:
+    """Scans candidates; traces that an added effect does not touch are remembered.
+
+    Args:
+        workers: threads, default one per core.
+    """
+
+    def __init__(self, candidates: Sequence[Candidate], workers: int | None = None) -> None:
         self.candidates = candidates
-        self._traces: dict[object, list[Trace]] = {}
+        self.workers = workers or _cores()
+        self._traces: dict[object, list[_Kept]] = {}
         self._bytes = 0
+        self._lock = Lock()
 
     def scan(self, current: Fit) -> tuple[Scored, ...]:
         """Best start of every candidate on top of a fitted set, best first."""
-        workspace = current.workspace
-        base = workspace.with_nominal(current.effects)
+        base = current.workspace.with_nominal(current.effects)
         taken = {e.key for e in current.effects}
         against = _Against(current)
-        best: dict[object, Scored] = {}
-        for candidate in self.candidates:
-            if candidate.key in taken:
-                continue
-            for trace in self._traces_of(candidate, base, current):
-                scored = _score(trace, against)
-                key = (candidate.key, candidate.words)
-                if scored is not None and (key not in best or scored.removes > best[key].removes):
-                    best[key] = scored
-        return tuple(sorted(best.values(), key=lambda s: -s.removes))
+        # joint by joint: columns that begin at the same balance make one product
+        joints = list(dict.fromkeys(c.joint for c in self.candidates))
+        waiting = [(k, c) for k, c in enumerate(self.candidates) if c.key not in taken]
+        waiting.sort(key=lambda pair: joints.index(pair[1].joint))
+        parts = [waiting[k : k + PART] for k in range(0, len(waiting), PART)]
 
-    def _traces_of(self, candidate: Candidate, base: Sequence[Planned], current: Fit) -> list[Trace]:
+        def scored(part: Sequence[tuple[int, Candidate]]) -> list[tuple[int, Scored]]:
+            return self._scored(part, base, current, against)
+
+        if self.workers > 1:
+            with ThreadPoolExecutor(self.workers) as pool:
+                found = list(pool.map(scored, parts))
+        else:
+            found = [scored(part) for part in parts]
+        best = sorted((pair for part in found for pair in part), key=lambda pair: (-pair[1].removes, pair[0]))
+        return tuple(one for _, one in best)
+
+    def _scored(
+        self, part: Sequence[tuple[int, Candidate]], base: Sequence[Planned], current: Fit, against: _Against
+    ) -> list[tuple[int, Scored]]:
+        """The best start of each candidate, with the candidate's number."""
+        best: dict[int, Scored] = {}
+        for batch in _batches((k, kept) for k, c in part for kept in self._kept(c, base, current)):
+            for (k, kept), products in zip(batch, against.tails([kept for _, kept in batch]), strict=True):
+                scored = _score(kept, *products, against.starts)
+                if scored is not None and (k not in best or scored.removes > best[k].removes):
+                    best[k] = scored
+        return list(best.items())
+
+    def _kept(self, candidate: Candidate, base: Sequence[Planned], current: Fit) -> Iterator[_Kept]:
         # a trace depends on the effects of its own joint only (a body's is fitted to the residual)
+        workspace, own = current.workspace, [e for e in base if e.joint == candidate.joint]
+        rows = len(workspace.balances.rows)
         if candidate.effect.overrides("edit_inertial"):
-            return traces(current.workspace, candidate, base, current.y)
-        key = (candidate.key, candidate.words, *(identity(e) for e in base if e.joint == candidate.joint))
-        if key not in self._traces:
-            found = traces(current.workspace, candidate, base, current.y)
-            self._bytes += sum(trace.columns.nbytes for trace in found)
-            if self._bytes > MEMORY:
-                return found
-            self._traces[key] = found
-        return self._traces[key]
+            yield from (_kept(t, rows) for t in traces(workspace, candidate, base, current.y))
+            return
+        key = (candidate.key, candidate.words, *(identity(e) for e in own))
+        if key in self._traces:
+            yield from self._traces[key]
+            return
+        remembered: list[_Kept] | None = []
+        for trace in traces(workspace, candidate, own, current.y):
+            kept = _kept(trace, rows)
+            yield kept
+            if remembered is not None:
+                remembered.append(kept)
+                if not self._room(kept.columns.nbytes, workspace.J.nbytes):
+                    self._room(-sum(k.columns.nbytes for k in remembered), workspace.J.nbytes)
+                    remembered = None
+        if remembered is not None:
+            self._traces[key] = remembered
+
+    def _room(self, size: int, held: int) -> bool:
+        """Take so many bytes of the memory, beside those held by others; whether they were left."""
+        with self._lock:
+            self._bytes += size
+            return self._bytes + held <= MEMORY
 
 
-def _score(trace: Trace, against: _Against) -> Scored | None:
-    """Solve for the amplitudes at every possible onset and keep the best."""
-    curvature, force = against.tails(trace.columns)  # (blocks, k, k), (blocks, k)
+def _kept(trace: Trace, rows: int) -> _Kept:
+    columns = trace.columns.reshape(len(trace.columns), rows, -1)
+    first = int(np.argmax(np.any(columns, axis=(0, 2))))
+    return _Kept(replace(trace, columns=np.zeros((0, 0))), first, columns[:, first:].copy())
+
+
+def _batches(numbered: Iterator[tuple[int, _Kept]]) -> Iterator[list[tuple[int, _Kept]]]:
+    """Neighbours that begin at the same balance, up to BATCH columns at a time."""
+    batch: list[tuple[int, _Kept]] = []
+    width = 0
+    for k, kept in numbered:
+        width += len(kept.columns)
+        if batch and (kept.first != batch[0][1].first or width > BATCH):
+            yield batch
+            batch, width = [], len(kept.columns)
+        batch.append((k, kept))
+    if batch:
+        yield batch
+
+
+def _score(kept: _Kept, curvature: np.ndarray, force: np.ndarray, starts: np.ndarray) -> Scored | None:
+    """Solve for the amplitudes at every possible onset and keep the best. `curvature` (blocks, k, k) and
+    `force` (blocks, k) are those of the columns switched on at each block's start."""
+    trace = kept.trace
     size = np.sqrt(np.maximum(np.einsum("bkk->bk", curvature), 0.0))
     if not np.all(np.isfinite(size)) or np.any(size[0] < 1e-6):
         return None
@@ -94,9 +177,8 @@ def _score(trace: Trace, against: _Against) -> Scored | None:
     at = int(np.argmax(removes))
     if trace.candidate.joint is None or removes[at] - removes[0] < ONSET_MARGIN * abs(removes[at]):
         at = 0
-    since = None if at == 0 else float(against.starts[at])
-    sight = float(np.sqrt(np.max(np.sum(trace.columns**2, axis=1))))
-    return Scored(trace, amplitude[at], float(removes[at]), since, sight)
+    since = None if at == 0 else float(starts[at])
+    return Scored(trace, amplitude[at], float(removes[at]), since, kept.sight)
 
 
 class _Against:
@@ -107,44 +189,62 @@ class _Against:
         self.rows = len(workspace.balances.rows)
         time = workspace.time
         even = np.linspace(time[0], time[-1], BLOCKS + 1)[:-1]
-        self.edges = edges = np.unique(np.searchsorted(time, even))
+        edges = np.unique(np.searchsorted(time, even))
         self.starts = workspace.balances.chains.t[0] + time[edges]
         fixed, free = len(workspace.J), len(current.tangents)
         tangents = current.tangents * workspace.weights
-        tangents = tangents / np.maximum(np.sqrt(np.sum(tangents**2, axis=1)), 1e-9)[:, None]
-        columns = np.concatenate([workspace.weighted, tangents]) if free else workspace.weighted
+        size = np.maximum(np.sqrt(np.sum(tangents**2, axis=1)), 1e-9)[:, None]
+        tangents = tangents / size
         y = current.y * workspace.weights
         gram = np.zeros((fixed + free, fixed + free))
         gram[:fixed, :fixed] = workspace.gram
+        pull = workspace.J @ (current.y * workspace.squares)
         if free:
-            gram[fixed:] = tangents @ columns.T
-            gram[:, fixed:] = gram[fixed:].T
+            gram[fixed:, :fixed] = (tangents * workspace.weights) @ workspace.J.T
+            gram[fixed:, fixed:] = tangents @ tangents.T
+            gram[:fixed, fixed:] = gram[fixed:, :fixed].T
             # tangents are free; a ridge for rounding, and for numbers without any trace
             gram[range(fixed, fixed + free), range(fixed, fixed + free)] += RIDGE
+            pull = np.concatenate([pull, tangents @ y])
         self.factor = cho_factor(gram)
-        pull = columns @ y
-        self.weighted = cho_solve(self.factor, pull)
-        self.weights = workspace.weights.reshape(self.rows, -1)
-        ends = [*edges[1:], workspace.time.size]
+        self.pulled = cho_solve(self.factor, pull)
+        self.squares = workspace.squares.reshape(self.rows, -1)
+        ends = [*edges[1:], time.size]
         self.slices = [slice(a, b) for a, b in zip(edges, ends, strict=True)]
-        split = columns.reshape(len(columns), self.rows, -1)
-        self.columns = [np.ascontiguousarray(split[:, :, s].reshape(len(columns), -1)) for s in self.slices]
-        self.y = y.reshape(self.rows, -1)
+        # what columns are multiplied by, (p, rows, samples) each: the nominal numbers' columns as they are,
+        # for there is no room to copy them; tangents and residual
+        self.fixed = workspace.J.reshape(fixed, self.rows, time.size)
+        free_part = np.concatenate([current.tangents / size, current.y[None]])
+        self.free = free_part.reshape(free + 1, self.rows, time.size)
 
-    def tails(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Projected curvature and force of columns that are switched on at each block's start."""
-        k = len(columns)
-        split = columns.reshape(k, self.rows, -1) * self.weights
-        own = np.einsum("arx,brx->abx", split, split, optimize=True)
-        own = np.add.reduceat(own, self.edges, axis=-1).transpose(2, 0, 1)
-        with_y = np.add.reduceat(np.sum(split * self.y, axis=1), self.edges, axis=-1).T
-        across = np.stack(
-            [split[:, :, s].reshape(k, -1) @ c.T for s, c in zip(self.slices, self.columns, strict=True)]
-        )
-        own, with_y, across = (np.cumsum(x[::-1], axis=0)[::-1] for x in (own, with_y, across))
-        flat = across.reshape(-1, across.shape[2])
-        solved = cho_solve(self.factor, flat.T).T.reshape(across.shape)
-        return own - np.einsum("bkp,blp->bkl", across, solved), with_y - across @ self.weighted
+    def tails(self, batch: Sequence[_Kept]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Projected curvature and force of each trace's columns, switched on at each block's start. The
+        traces begin at the same balance."""
+        first = batch[0].first
+        own, across = [], []
+        for s in self.slices:
+            columns = np.concatenate([kept.columns[:, :, s] for kept in batch])
+            weighted = columns * self.squares[first:, s]
+            own.append(weighted.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T)
+            products = [
+                np.hstack([weighted[:, r - first] @ part[:, r, s].T for part in (self.fixed, self.free)])
+                for r in range(first, self.rows)
+            ]
+            across.append(np.sum(products, axis=0))
+        curvature, both = (np.cumsum(np.array(x)[::-1], axis=0)[::-1] for x in (own, across))
+        through, with_y = both[:, :, :-1], both[:, :, -1]
+        solved = cho_solve(self.factor, through.reshape(-1, through.shape[2]).T).T.reshape(through.shape)
+        force = with_y - through @ self.pulled
+        out, start = [], 0
+        for kept in batch:
+            k = slice(start, start + len(kept.columns))
+            start = k.stop
+            out.append((curvature[:, k, k] - through[:, k] @ solved[:, k].transpose(0, 2, 1), force[:, k]))
+        return out
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _within_bounds(trace: Trace, amplitude: np.ndarray) -> np.ndarray:

@@ -1,11 +1,12 @@
 """Several recordings of one robot: the set of causes that explains all of them with one set of numbers.
 
 Every recording is searched by itself. What they propose, their chosen sets and the rivals of each cause, is
-then fitted to each of them; near its own optimum p_i a recording's energy is a parabola with curvature N_i,
-so the numbers for all are p = (sum N_i)^-1 sum N_i p_i, and the set's energy is the sum of what each
-recording has to say against p. The price of a set is paid once: a cause that only one recording wants must
-earn it from that one alone, and two that tie in one are parted by another. Where the recordings do not
-agree on the numbers, each may have its own, at their price: that is said, and the standard errors grow.
+then fitted to each of them; near its own optimum a recording's residual is linear, so the numbers common to
+all follow (shared_numbers.py), and the set's energy is the sum of what each recording has to say against
+them, with deviations of the nominal numbers that are common to all, too. The price of a set is paid once: a
+cause that only one recording wants must earn it from that one alone, and two that tie in one are parted by
+another. Where the recordings do not agree on the numbers, each may have its own, at their price: that is
+said, and the standard errors grow.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ import numpy as np
 
 from flexjoint.diagnose.fit import Fit, fit, normal_equations
 from flexjoint.diagnose.selection import PRICE_NUMBER, Selection, price, score
+from flexjoint.diagnose.shared_numbers import SharedNumbers
+from flexjoint.diagnose.verdict import Errors, Key, certainty
 from flexjoint.effect import Planned
 
+PRESENT = 1.0  # standard errors, disagreement counted, by which a common number must differ from none
 DISAGREE = 3.5  # standard errors by which a recording's own number may differ from the common one
 Names = frozenset[tuple[object, ...]]
 
@@ -29,7 +33,7 @@ class Together:
     effect and parameter, and what is to be said about it."""
 
     selection: Selection
-    errors: dict[tuple[str, str | None], dict[str, list[float]]]
+    errors: dict[Key, Errors]
     notes: tuple[str, ...]
 
 
@@ -42,6 +46,7 @@ class _Joint:
     fits: tuple[Fit, ...]  # each recording's own optimum
     normals: tuple[np.ndarray, ...]
     numbers: np.ndarray  # (slots,) common to all
+    curvature: np.ndarray  # (slots, slots) of the energy in them
 
     @property
     def score(self) -> float:
@@ -53,9 +58,11 @@ def combine(selections: Sequence[Selection]) -> Together:
     recording belong to it: those of the first stay with the first."""
     proposals = _proposals(selections)
     joints = {key: _fitted(selections, effects) for key, effects in proposals.items()}
-    best_key = min(joints, key=lambda key: joints[key].score)
-    best = joints[best_key]
     first = selections[0]
+    # a cause that one recording wants and the others do not is none of the robot's
+    ranked = sorted(joints, key=lambda key: joints[key].score)
+    best_key = next(key for key in ranked if _sure(first.nothing, joints[key]))
+    best = joints[best_key]
     dated = tuple(e for e in first.best.effects if e.since is not None)
     workspace = first.best.workspace
     chosen = fit(workspace, [*best.effects, *dated], iterations=0)
@@ -119,17 +126,16 @@ def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _J
         if slot.param.wraps:
             for numbers in own[1:]:
                 numbers[k] += 2.0 * np.pi * np.round((own[0][k] - numbers[k]) / (2.0 * np.pi))
-    total = np.sum(normals, axis=0)
-    size = np.sqrt(np.maximum(np.diag(total), 1e-300))
-    pull = np.sum([n @ p for n, p in zip(normals, own, strict=True)], axis=0)
-    numbers = np.linalg.lstsq(total / np.outer(size, size), pull / size, rcond=1e-12)[0] / size
+    shared = SharedNumbers([f.workspace for f in fits])
+    numbers, curvature = shared.solve(fits, own)
     common = list(fits[0].effects)
     for slot, number in zip(slots, numbers, strict=True):
         slot.put(common, float(np.clip(number, slot.param.low, slot.param.high)))
-    energy = sum(fit(s.best.workspace, common, iterations=0).energy for s in selections)
-    apart = sum(f.energy for f in fits) + PRICE_NUMBER * len(slots) * (len(selections) - 1)
-    energy = min(energy, apart)
-    return _Joint(tuple(common), float(energy), tuple(fits), tuple(normals), numbers)
+    there = [fit(s.best.workspace, common, iterations=0) for s in selections]
+    energy = sum(f.energy for f in there) + shared.surplus([f.y for f in there])
+    apart = sum(f.energy for f in fits) + shared.surplus([f.y for f in fits])
+    energy = min(energy, apart + PRICE_NUMBER * len(slots) * (len(selections) - 1))
+    return _Joint(tuple(common), float(energy), tuple(fits), tuple(normals), numbers, curvature)
 
 
 def _with_another(
@@ -148,13 +154,18 @@ def _other(kept: Sequence[Planned], joint: _Joint) -> Planned:
     return next(e for e in joint.effects if e not in kept)
 
 
-def _errors(best: _Joint) -> dict[tuple[str, str | None], dict[str, list[float]]]:
+def _sure(nothing: Fit, joint: _Joint) -> bool:
+    """Whether the recordings, however they disagree on its size, agree that there is every cause."""
+    errors, nominal = _errors(joint), replace(nothing, effects=joint.effects)
+    return all(certainty(nominal, e, errors[e.key]) >= PRESENT for e in joint.effects)
+
+
+def _errors(best: _Joint) -> dict[Key, Errors]:
     """Standard errors from all recordings' curvature, widened where the recordings disagree by more."""
-    out: dict[tuple[str, str | None], dict[str, list[float]]] = {e.key: {} for e in best.effects}
+    out: dict[Key, Errors] = {e.key: {} for e in best.effects}
     if not len(best.numbers):
         return out
-    total = np.sum(best.normals, axis=0)
-    deviation = np.sqrt(np.diag(np.linalg.pinv(total)))
+    deviation = np.sqrt(np.diag(np.linalg.pinv(best.curvature)))
     for k, slot in enumerate(best.fits[0].slots):
         apart = [(slot.get(f.effects) - best.numbers[k]) ** 2 * n[k, k] for f, n in _each(best)]
         spread = np.sqrt(max(1.0, sum(apart) / max(1, len(apart) - 1)))

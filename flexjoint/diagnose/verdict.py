@@ -35,15 +35,15 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
     notes: list[str] = []
     while selection.best.effects:
         best = selection.best
-        certainty = [
-            _certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
+        certain = [
+            certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
         ]
-        worst = int(np.argmin(certainty))
-        if certainty[worst] >= SURE:
+        worst = int(np.argmin(certain))
+        if certain[worst] >= SURE:
             break
         notes.append(
             f"{best.effects[worst]} would make the balance smaller, but its size is known to"
-            f" {certainty[worst]:.1f} standard errors only: not named"
+            f" {certain[worst]:.1f} standard errors only: not named"
         )
         selection = without(selection, best.effects[worst])
     return selection, tuple(notes)
@@ -65,7 +65,7 @@ def without(selection: Selection, effect: Planned) -> Selection:
     )
 
 
-def _certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:
+def certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:
     """Distance of an effect from its absence, in standard errors of the number that is furthest from it."""
     listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
     distance = [0.0]
@@ -222,12 +222,14 @@ def _hidden_by_refit(selection: Selection, k: int) -> bool:
     best = selection.best
     workspace = best.workspace
     without = [e for i, e in enumerate(best.effects) if i != k]
-    y = workspace.residual(without) * workspace.weights
-    free = workspace.weighted
-    if not len(free):
+    free = len(workspace.J)
+    if not free:
         return False
-    ridge = 1e-6 * np.trace(free @ free.T) / len(free) * np.eye(len(free))
-    absorbed = y - np.linalg.solve(free @ free.T + ridge, free @ y) @ free
+    rest = workspace.residual(without)
+    y, normal = rest * workspace.weights, workspace.gram - np.eye(free)
+    ridge = 1e-6 * np.trace(normal) / free * np.eye(free)
+    pull = np.linalg.solve(normal + ridge, workspace.J @ (rest * workspace.squares))
+    absorbed = y - (pull @ workspace.J) * workspace.weights
     own = best.y * workspace.weights
     here, refit = float(y @ y - own @ own), float(y @ y - absorbed @ absorbed)
     return refit > 0.9 * here > 0.0

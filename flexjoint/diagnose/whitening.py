@@ -16,7 +16,7 @@ from scipy import fft
 
 from flexjoint.body import inertial_of
 from flexjoint.diagnose.balances import LINK, MOTOR, Balances, Row
-from flexjoint.diagnose.motion import along
+from flexjoint.diagnose.motion import mass_along
 from flexjoint.effect import Drive, Planned, Signals, Site
 from flexjoint.robot import Joint
 
@@ -30,7 +30,7 @@ FLOOR = 6e-4  # of each balance's torque RMS: numerical error of filters and int
 class Whitening:
     """Linear map from balance spectra to white time series at the band-limited rate."""
 
-    matrix: np.ndarray  # (F_band, m, m) complex
+    matrix: np.ndarray  # (m, m, F_band) complex, lower triangular: a balance is white beside those before it
     taper: np.ndarray  # (F_band,)
     size: int  # padded length of the balances
     window: np.ndarray  # (size,) 1 where the record is usable, falling smoothly to 0 outside
@@ -44,19 +44,27 @@ class Whitening:
     def apply(self, spectra: np.ndarray) -> np.ndarray:
         """(m, F) -> (m, K): whitened series at the usable samples."""
         band, used = self.taper.size, np.flatnonzero(np.any(spectra, axis=1))
+        white = np.zeros((len(spectra), self.keep.size))
+        if not used.size:
+            return white
         # what lies beyond edges and gaps is cut off first: the whitening must not smear it
         series = fft.irfft(spectra[used], self.size, axis=-1) * self.window
         inside = fft.rfft(series, axis=-1)[:, :band] * self.taper
-        mixed = np.matmul(self.matrix[:, :, used], inside.T[:, :, None])[:, :, 0].T
-        return fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale
+        first = int(used[0])
+        mixed = np.zeros((len(spectra) - first, band), dtype=complex)
+        for row, spectrum in zip(used, inside, strict=True):
+            mixed[row - first :] += self.matrix[row:, row] * spectrum
+        white[first:] = fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale
+        return white
 
 
 def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned]) -> Whitening:
     """The whitening of these balances under a model with these effects; `torque_scale` (m,) is each
     balance's torque RMS [N m]. Effects matter: a payload's inertia turns more encoder noise into torque."""
     window = balances.filter
-    band = int(np.searchsorted(-window.gain, -CUT_GAIN))
-    length = 2 * (band - 1)
+    # the band ends a little later, where that makes a length that transforms fast
+    length = 2 * fft.next_fast_len(int(np.searchsorted(-window.gain, -CUT_GAIN)) - 1, real=True)
+    band = length // 2 + 1
     omega, gain = window.omega[:band], window.gain[:band]
     transfer, variances, extra = _transfer(balances, omega, effects)
     spectrum = np.einsum("fak,k,fbk->fab", transfer, variances, transfer.conj()) + extra
@@ -67,7 +75,7 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     own = np.einsum("faa->fa", spectrum).real
     spectrum[:, rows, rows] += ROUNDING * own  # balances that share one noise are nearly dependent
     factor = np.linalg.cholesky(spectrum)
-    matrix = np.linalg.inv(factor)
+    matrix = np.ascontiguousarray(np.moveaxis(np.linalg.inv(factor), 0, -1))
     edge = int(0.85 * band)
     taper = np.ones(band)
     taper[edge:] = 0.5 * (1.0 + np.cos(np.pi * np.arange(band - edge) / max(1, band - edge)))
@@ -208,4 +216,4 @@ def _added_mass(balances: Balances, effects: Sequence[Planned]) -> np.ndarray | 
             changed = True
     if not changed:
         return 0.0
-    return along(motion.robot, motion.filter, motion.q, motion.passive, inertial).mass - motion.rigid.mass
+    return mass_along(motion, inertial) - motion.rigid.mass

@@ -12,6 +12,7 @@ import copy
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import fft
 from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnose import whitening
@@ -48,16 +49,52 @@ class Workspace:
         self.nominal = tuple(self.robot.effects)
         self._signals: dict[str | None, Signals] = {}
         self._columns = Columns(balances.quiet, self.whitening)
-        self.nuisance, self.J = self._columns.nuisance, self._columns.matrix
+        self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
+        self._moved, self._move = np.zeros(0, dtype=int), np.zeros((0, self.samples))
         self.temper = np.ones(len(rows))
         self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
         self.used = np.ones(self.time.size)
+        self._plain_grams = self._grams = self._grams_of_rows()
         self._weigh()
 
+    @property
+    def J(self) -> np.ndarray:
+        """(numbers, samples) whitened columns of the nominal numbers, one prior deviation each."""
+        if not len(self._moved):
+            return self._plain
+        out = self._plain.copy()  # which is not kept: it is by far the largest array there is
+        out[self._moved] += self._move
+        return out
+
+    def _grams_of_rows(self) -> np.ndarray:
+        """(rows, k, k) products of the nominal numbers' plain columns over each balance's used samples."""
+        k, rows = len(self._plain), len(self.balances.rows)
+        split = self._plain.reshape(k, rows, self.time.size)
+        out = np.empty((rows, k, k))
+        for row in range(rows):
+            part = split[:, row] * self.used
+            out[row] = part @ part.T
+        return out
+
+    def _moved_grams(self) -> np.ndarray:
+        """(rows, k, k) the same of the columns where some are moved from the plain ones."""
+        rows, at = len(self.balances.rows), self._moved
+        plain = self._plain.reshape(len(self._plain), rows, self.time.size)
+        moved = (self._plain[at] + self._move).reshape(len(at), rows, self.time.size)
+        out = self._plain_grams.copy()
+        for row in range(rows):
+            part = moved[:, row] * self.used
+            across = part @ plain[:, row].T
+            across[:, at] = part @ moved[:, row].T
+            out[row, at] = across
+            out[row][:, at] = across.T
+        return out
+
     def _weigh(self) -> None:
+        # J is never stored weighted, for its size
         self.weights = np.outer(1.0 / np.sqrt(self.temper), self.used).ravel()
-        self.weighted = self.J * self.weights
-        self.gram = self.weighted @ self.weighted.T + np.eye(len(self.J))
+        self.squares = np.outer(1.0 / self.temper, self.used).ravel()
+        self.gram = np.tensordot(1.0 / self.temper, self._grams, 1) + np.eye(len(self._plain))
         self._gram = cho_factor(self.gram)
 
     def at(self, temper: np.ndarray, strain: float = 1.0) -> Workspace:
@@ -72,19 +109,24 @@ class Workspace:
         """The same workspace with the nominal numbers' columns taken where these effects, beyond the nominal
         model's, are at work: what dry friction holds at rest follows the springs."""
         changed = self._columns.beside_friction(self.with_nominal(effects))
+        if not changed and not len(self._moved):
+            return self
         other = copy.copy(self)
-        other.J = self._columns.matrix
-        if changed:
-            other.J = other.J.copy()
-            other.J[list(changed)] = list(changed.values())
-        if changed or self.J is not other.J:
-            other._weigh()
+        other._moved = np.array(list(changed), dtype=int)
+        other._move = (
+            np.array(list(changed.values())).reshape(len(changed), self.samples) - self._plain[other._moved]
+        )
+        other._grams = other._moved_grams() if changed else self._plain_grams
+        other._weigh()
         return other
 
     def only(self, used: np.ndarray) -> Workspace:
         """The same workspace with only some samples (bool, as many as `time`) counted."""
         other = copy.copy(self)
         other.used = used.astype(float)
+        other._plain_grams = other._grams = other._grams_of_rows()
+        if len(self._moved):
+            other._grams = other._moved_grams()
         other._weigh()
         return other
 
@@ -108,8 +150,10 @@ class Workspace:
         at least 1."""
         rest = self.rest(y).reshape(len(self.balances.rows), -1)
         count = rest.shape[1]
-        spectrum = np.abs(np.fft.rfft(rest, 2 * count, axis=1)) ** 2
-        correlation = np.fft.irfft(spectrum, axis=1)[:, : count // 4]
+        longest = count // 4
+        size = fft.next_fast_len(count + longest, real=True)  # no lag that is used wraps around
+        spectrum = np.abs(fft.rfft(rest, size, axis=1)) ** 2
+        correlation = fft.irfft(spectrum, size, axis=1)[:, :longest]
         correlation = correlation / np.maximum(correlation[:, :1], 1e-300)
         past = np.cumsum(correlation < 0.05, axis=1) > 0
         length = 1.0 + 2.0 * np.sum(np.where(past, 0.0, correlation)[:, 1:], axis=1)
@@ -156,8 +200,18 @@ class Workspace:
 
     # ------------------------------------------------------------------ inner products
     def pull(self, y: np.ndarray) -> np.ndarray:
-        """(numbers,) how a residual y pulls at the nominal numbers."""
-        return self.weighted @ (y * self.weights)
+        """(numbers,) how a residual y pulls at the nominal numbers: J W y."""
+        return self._across((y * self.squares)[None])[0]
+
+    def _across(self, a: np.ndarray) -> np.ndarray:
+        """(k, numbers) a J' of columns a (k, samples)."""
+        out = a @ self._plain.T
+        out[:, self._moved] += a @ self._move.T
+        return out
+
+    def _along(self, d: np.ndarray) -> np.ndarray:
+        """(..., samples) d J of deviations d (..., numbers)."""
+        return d @ self._plain + d[..., self._moved] @ self._move
 
     def energy(self, y: np.ndarray) -> float:
         """Q(y, y)."""
@@ -188,13 +242,14 @@ class Workspace:
 
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Q between columns a (k, samples) and b (l, samples): (k, l)."""
-        a, b = a * self.weights, b * self.weights
-        return a @ b.T - (a @ self.weighted.T) @ cho_solve(self._gram, self.weighted @ b.T)
+        weighted = a * self.squares
+        by_a = self._across(weighted)
+        by_b = by_a if b is a else self._across(b * self.squares)
+        return weighted @ b.T - by_a @ cho_solve(self._gram, by_b.T)
 
     def against(self, a: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(k,) Q between columns a (k, samples) and a residual y (samples,)."""
-        a = a * self.weights
-        return a @ (y * self.weights) - (a @ self.weighted.T) @ cho_solve(self._gram, self.pull(y))
+        return self.product(a, y[None])[:, 0]
 
     def deviations(self, y: np.ndarray) -> np.ndarray:
         """Deviations of the nominal numbers, in prior deviations, that explain most of a residual y."""
@@ -202,15 +257,15 @@ class Workspace:
 
     def deviation_errors(self) -> np.ndarray:
         """Standard errors of `deviations`."""
-        return np.sqrt(np.diag(cho_solve(self._gram, np.eye(len(self.J)))))
+        return np.sqrt(np.diag(cho_solve(self._gram, np.eye(len(self._plain)))))
 
     def rest(self, y: np.ndarray) -> np.ndarray:
         """(samples,) what the nominal numbers leave of a residual."""
-        return y - self.deviations(y) @ self.J
+        return y - self._along(self.deviations(y))
 
     def project(self, a: np.ndarray) -> np.ndarray:
         """Columns a (k, samples) with what the nominal numbers can explain of them taken out."""
-        return a - cho_solve(self._gram, self.weighted @ (a * self.weights).T).T @ self.J
+        return a - self._along(cho_solve(self._gram, self._across(a * self.squares).T).T)
 
     @property
     def noise_energy(self) -> float:

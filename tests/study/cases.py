@@ -4,6 +4,8 @@
 - double: two causes on one machine
 - healthy: nothing
 - struck: one cause, with its effect (and those that contain it) taken out of the product's catalogue
+- several: one cause in two recordings of one machine, with other motions and other unknown encoder offsets;
+  in every other case the second was made with a known payload
 """
 
 from __future__ import annotations
@@ -31,7 +33,13 @@ from planting.laws import DRY_MOTOR
 
 EFFECTS = tuple(CATALOGUE)
 PER_EFFECT = {"single": 12, "struck": 4}
-COUNTS = {"single": 12 * len(EFFECTS), "double": 140, "healthy": 1000, "struck": 4 * len(EFFECTS)}
+COUNTS = {
+    "single": 12 * len(EFFECTS),
+    "double": 140,
+    "healthy": 1000,
+    "struck": 4 * len(EFFECTS),
+    "several": 40,
+}
 SMALLEST = 0.02  # of the usual size: most effects are then below the noise
 
 ROBOT_SHARES = {"lever": 0.2, "turret": 0.18, "crane": 0.24, "scara": 0.16, "gimbal": 0.18, "reach": 0.04}
@@ -44,6 +52,7 @@ LATE = 0.08  # share of single causes that set in during the recording
 SINGLE_STRUCK_SIZE = (0.25, 1.0)
 DOUBLE_SIZE = (0.2, 1.0)
 OFFSET = 0.02  # rad, of encoder offsets that nobody knows
+LOAD = 0.5  # of a link's mass: a known payload
 
 SENSORS: dict[str, SensorSet] = {
     name: replace(sensors, noisy_feedback=False)  # the command is smooth between two recorded samples
@@ -113,6 +122,8 @@ class StudyCase:
     size: float  # of the usual one
     excluded: tuple[str, ...] = ()
     hidden: tuple[Planted, ...] = ()  # what the robot file declares as unknown: no cause
+    second: Case | None = None  # another recording of the machine, all that it holds included: its `fresh`
+    load: Planted | None = None  # of the second recording, and known
 
     @property
     def name(self) -> str:
@@ -121,7 +132,13 @@ class StudyCase:
 
 def make(part: str, number: int) -> StudyCase:
     """The case; raises ValueError when there is none."""
-    makers = {"single": _single, "double": _double, "healthy": _healthy, "struck": _struck}
+    makers = {
+        "single": _single,
+        "double": _double,
+        "healthy": _healthy,
+        "struck": _struck,
+        "several": _several,
+    }
     if part not in makers:
         raise ValueError(f"unknown part {part!r}; there are {', '.join(makers)}")
     if not 0 <= number < COUNTS[part]:
@@ -181,6 +198,35 @@ def _double(number: int, rng: np.random.Generator) -> StudyCase:
     planted = tuple(usual_effect(e, robot, j, rng, size) for e, j in zip((first, second), at, strict=True))
     case = _case("double", number, robot, excitation, sensors, rng)
     return _with("double", number, case, planted, sensors, size, rng)
+
+
+def _several(number: int, rng: np.random.Generator) -> StudyCase:
+    loaded = number % 2 == 1
+    robot = _drawn({k: v for k, v in ROBOT_SHARES.items() if k not in ("turret", "reach")}, rng)
+    joints = read_robot(ROBOTS / f"{robot}.yaml").joints
+    pool = [e for e in EFFECTS if e not in STEP_EFFECTS and e in SHOWN["unknown offsets"]]
+    effect = str(rng.choice([e for e in pool if not (loaded and e == "payload")]))
+    joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))
+    size = float(np.exp(rng.uniform(*np.log(DOUBLE_SIZE))))
+    first, other = (str(e) for e in rng.choice(EXCITATIONS, 2, replace=False))
+    planted = (usual_effect(effect, robot, joint, rng, size),)
+    sensors = "unknown offsets"
+    case = _with(
+        "several", number, _case("several", number, robot, first, sensors, rng), planted, sensors, size, rng
+    )
+    again = _with("several", number, case.case, planted, sensors, size, rng)  # draws other offsets
+    load = _load(robot, joints[-1]) if loaded else None
+    held = (*planted, *again.hidden, *([load] if load else []))
+    second = replace(case.case, excitation=other, effects=held, seconds=2.0 * case.case.seconds)
+    return replace(case, second=second, load=load)
+
+
+def _load(robot: str, joint: str) -> Planted:
+    """A payload below the centre of a link."""
+    nominal = read_robot(ROBOTS / f"{robot}.yaml")
+    body = nominal.bodies[nominal.index(joint)]
+    place = [round(1.3 * float(c), 4) for c in body.com]
+    return Planted("payload", joint, {"mass": round(LOAD * float(body.mass), 3), "position": place})
 
 
 def _healthy(number: int, rng: np.random.Generator) -> StudyCase:

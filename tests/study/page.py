@@ -39,7 +39,8 @@ without a right name.
 def markdown(records: Sequence[Record]) -> str:
     """The page."""
     parts = [HEAD, _made(records), _headline(records)]
-    for title, part in (("Single causes", "single"), ("Two causes", "double")):
+    titles = {"single": "Single causes", "double": "Two causes", "several": "One cause, two recordings"}
+    for part, title in titles.items():
         these = summary.of(records, part)
         if these:
             parts.append(f"\n## {title}\n{OUTCOME_WORDS if part == 'single' else ''}")
@@ -84,7 +85,7 @@ def _made(records: Sequence[Record]) -> str:
 
 def _headline(records: Sequence[Record]) -> str:
     rows: list[Sequence[object]] = []
-    for part, goal in (("single", "97 %"), ("double", "90 %")):
+    for part, goal in (("single", "97 %"), ("double", "90 %"), ("several", "97 %")):
         seen = [r for r in summary.of(records, part) if detectable(r)]
         if seen:
             what = f"{part} causes with excess above {DETECTABLE}"
@@ -130,6 +131,8 @@ def _breakdown(records: Sequence[Record]) -> str:
         "robot": lambda r: r["robot"].removesuffix("_exact"),
         "onset": lambda r: "late" if any(t["since"] is not None for t in r["truth"]) else "always on",
     }
+    if any("second" in r for r in seen):
+        groups["second recording"] = lambda r: r["second"].partition(", ")[2]
     rows = []
     for title, group in groups.items():
         for name, inside in summary.by(seen, group).items():

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from diagnose_cases import as_recording
-from planting import ROBOTS
+from planting import ROBOTS, Planted
 
 import flexjoint
 from flexjoint import robot
@@ -31,6 +31,7 @@ from flexjoint.diagnose.workspace import Workspace, balances_of
 from flexjoint.diagnosis import Diagnosis, Fitted
 from flexjoint.effect import catalogue, plan
 from flexjoint.errors import FlexJointError
+from flexjoint.known_payload import KnownPayload
 from flexjoint.model import FlexibleJointModel
 from flexjoint.noise import white_noise
 from flexjoint.recording import Recording
@@ -92,13 +93,19 @@ def diagnosed(case: StudyCase) -> dict[str, Any]:
     }
     machine = replace(case.case, effects=(*case.case.effects, *case.hidden))
     recording = as_recording(machine.train(), case.name)
+    recordings, payloads = [recording], [None, *([_known(case.load)] if case.load else [None])]
+    if case.second is not None:
+        recordings.append(as_recording(case.second.fresh(), f"{case.name}, second"))
+        record["second"] = f"{case.second.excitation}, {'known payload' if case.load else 'no payload'}"
     nominal = _nominal(case)
     record["joints"] = len(nominal.joints)
     record["planting"] = round(time.perf_counter() - started, 3)
     record["excess"] = excess(nominal, recording)
     started = time.perf_counter()
     try:
-        found = diagnose(nominal, [recording], excluded=_struck(case.excluded))
+        found = diagnose(
+            nominal, recordings, excluded=_struck(case.excluded), payloads=payloads[: len(recordings)]
+        )
     except FlexJointError as error:
         return {**record, "diagnosis": time.perf_counter() - started, "verdict": "error", "error": str(error)}
     except Exception:  # a bug of the product: the study goes on and shows it
@@ -115,6 +122,11 @@ def _struck(effects: Sequence[str]) -> frozenset[str]:
     """The effects and those that contain them as special cases."""
     wider = {e.name for e in catalogue().values() if set(e.contains) & set(effects)}
     return frozenset({*effects, *wider})
+
+
+def _known(load: Planted) -> KnownPayload:
+    x, y, z = load.parameters["position"]  # type: ignore[misc]
+    return KnownPayload(str(load.joint), load.value("mass"), (x, y, z))
 
 
 def _nominal(case: StudyCase) -> Robot:

@@ -1,0 +1,78 @@
+"""What makes the diagnosis fast changes nothing: threads, memory, triangular whitening, shared numbers."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from diagnose_cases import Case, as_recording, nominal
+from planting import Planted
+
+from flexjoint.diagnose import chain, scan
+from flexjoint.diagnose.candidates import enumerate_candidates
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.scan import Scanner
+from flexjoint.diagnose.shared_numbers import SharedNumbers
+from flexjoint.diagnose.workspace import Workspace, balances_of
+from flexjoint.effect import plan
+
+GAP = Planted("backlash", "elbow", {"gap": 0.009})
+KEPT = ("backlash", "cogging", "link_coulomb_friction", "payload", "base_tilt", "sensor_delay")
+
+
+@cache
+def workspace(seed: int = 41) -> Workspace:
+    recording = as_recording(Case("crane", "rich", seed).with_causes(GAP)).between(0.0, 5.0)
+    return Workspace(balances_of(nominal("crane"), recording))
+
+
+def scanned(workers: int, current: Fit) -> list[tuple[object, ...]]:
+    candidates = [c for c in enumerate_candidates(workspace()) if c.effect.name in KEPT]
+    scanner = Scanner(candidates, workers)
+    # twice: the second scan takes what the first remembered
+    found = [*scanner.scan(current), *scanner.scan(current)]
+    return [(s.candidate, s.amplitude.tolist(), s.removes, s.since, s.sight) for s in found]
+
+
+def test_any_number_of_threads_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    current = fit(workspace(), [plan("motor_coulomb_friction", "elbow", {"level": 0.3})])
+    alone = scanned(1, current)
+    assert scanned(2, current) == alone == scanned(5, current)
+    # and so does a scan that may remember nothing, and a chain that is made anew each time
+    monkeypatch.setattr(scan, "MEMORY", 0.0)
+    monkeypatch.setattr(chain, "REMEMBERED", 0.0)
+    assert scanned(2, current) == alone
+
+
+def test_products_are_those_of_weighted_columns() -> None:
+    """Against the formula with all columns written out: Q(a, b) = a W b - a W J' (J W J' + 1)^-1 J W b."""
+    here = workspace().at(np.array([1.0, 2.0, 3.0, 1.5, 1.0, 4.0]))
+    a = np.random.default_rng(1).standard_normal((3, here.samples))
+    weights = np.repeat(1.0 / np.sqrt(here.temper), here.time.size)
+    columns, rows = here.J * weights, a * weights
+    inner = np.linalg.solve(columns @ columns.T + np.eye(len(columns)), columns @ rows.T)
+    # two ways to add up some 7000 products
+    assert here.product(a, a) == pytest.approx(rows @ rows.T - rows @ columns.T @ inner, rel=1e-9, abs=1e-9)
+    assert here.energy(a[0]) == pytest.approx(here.product(a, a)[0, 0], rel=1e-9)
+
+
+def test_whitening_uses_all_of_its_matrix() -> None:
+    whitening = workspace().whitening
+    upper = np.triu(np.abs(whitening.matrix[:, :, 5]), 1)
+    assert np.max(upper) <= 1e-12 * np.max(np.abs(whitening.matrix))  # what is not applied is not there
+
+
+def test_shared_numbers_are_paid_for_once() -> None:
+    here = workspace()
+    y = 3.0 * here.J[4]  # what a nominal number off by three deviations leaves
+    shared = SharedNumbers([here, here])
+    joint = 2.0 * here.energy(y) + shared.surplus([y, y])
+    stacked = np.concatenate([here.J, here.J], axis=1)
+    pull = np.linalg.solve(stacked @ stacked.T + np.eye(len(stacked)), stacked @ np.concatenate([y, y]))
+    rest = np.concatenate([y, y]) - pull @ stacked
+    # energies of some 1e4 are told to rounding
+    assert joint == pytest.approx(float(rest @ rest + pull @ pull), abs=1e-4)
+    assert joint < 1.6 * here.energy(y)  # not twice: 9 against 18 where the number is well seen
+    apart = 2.0 * here.energy(y) + shared.surplus([y, -y])
+    assert apart > 100.0 * joint  # it cannot be off by both
