@@ -82,6 +82,9 @@ def _parser() -> argparse.ArgumentParser:
     diagnose.add_argument("--report", type=Path, metavar="OUT.html", help="write a page to read")
     diagnose.add_argument("--model", type=Path, metavar="OUT.yaml", help="write the extended robot")
     diagnose.add_argument("--quiet", action="store_true", help="print nothing")
+    diagnose.add_argument(
+        "--no-refine", action="store_true", help="leave the numbers as the torque balances give them"
+    )
     diagnose.set_defaults(run=_diagnose)
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
@@ -185,7 +188,8 @@ def _diagnose(arguments: argparse.Namespace) -> None:
     for table in recordings:
         check(nominal, table)
     with Progress() as bar:
-        diagnosis = diagnose(nominal, recordings, progress=no_progress if arguments.quiet else bar)
+        shown = no_progress if arguments.quiet else bar
+        diagnosis = diagnose(nominal, recordings, progress=shown, refine=not arguments.no_refine)
     extended = extended_model(nominal, diagnosis)
     page = None
     if asked.report is not None:

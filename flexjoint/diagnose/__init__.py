@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from flexjoint.diagnose import held_out, leftover, verdict
+from flexjoint.diagnose import held_out, leftover, refined, verdict
 from flexjoint.diagnose.balances import Balances
 from flexjoint.diagnose.candidates import STILL, enumerate_candidates
 from flexjoint.diagnose.experiment import advice
@@ -35,6 +35,7 @@ def diagnose(
     *,
     progress: Progress | None = None,
     excluded: frozenset[str] = frozenset(),
+    refine: bool = True,
 ) -> Diagnosis:
     """Name what the nominal model gets wrong on the recordings; measure the gain on held-out blocks of the
     first, whose residuals and onsets are the ones reported.
@@ -44,6 +45,7 @@ def diagnose(
         recordings: at least one; several are explained together, by one set of causes and numbers.
         progress: called with a share in [0, 1] and what is being done.
         excluded: names of effects that are left out of the catalogue.
+        refine: whether the numbers of the causes are refined on the simulation itself (one recording).
 
     Raises:
         RecordingError: the recording cannot be used with this robot.
@@ -91,6 +93,15 @@ def diagnose(
             selection = verdict.without(selection, finding.planned)
             notes += (f"something like {finding.planned} would help, but others fit as well: not named",)
         measured = held_out.comparison(robot, recording, workspace, selection.best)
+    estimation = None
+    if found and refine and len(recordings) == 1:
+        report(0.95, "refining the numbers on the simulation")
+        found, estimation = refined.refine(robot, recording, best, found)
+        if estimation.why:
+            notes += (f"numbers are those of the torque balances: {estimation.why}",)
+    elif found:
+        why = "several recordings share their numbers" if refine else "no refinement was asked for"
+        estimation = refined.from_balances(best, why)
     found = verdict.merged(found, candidates)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)
@@ -112,6 +123,7 @@ def diagnose(
             float(np.mean(selection.nothing.workspace.temper)),
             float(np.mean(best.workspace.temper)),
         ),
+        estimation=estimation,
     )
 
 
