@@ -25,6 +25,8 @@ SELDOM = 0.02  # share of such windows that is no sign of windows that are too l
 MOST_OUTLYING = 0.2  # share of them that leaves a refinement without a basis
 FEWEST = 8  # windows
 WORSE = 4.0  # times what chance takes, from which held-out windows speak against a refinement
+LESS_WELL = 1.2  # times the balances' standard errors, and
+CONFIRMED = 2.0  # of the simulation's, within which it confirms the balances' numbers
 IMPLAUSIBLE = 6.0  # prior deviations of a nominal number, from which the model is another one
 
 
@@ -41,7 +43,7 @@ def refine(
         except (FlexJointError, np.linalg.LinAlgError) as error:
             why = str(error)
         else:
-            why = _against(estimate)
+            why = _against(estimate) or _known_better(best, estimate)
             if not why:
                 effects = refinement.with_numbers(estimate.numbers)
                 changed = tuple(_changed(f, best, effects, estimate) for f in found)
@@ -51,12 +53,27 @@ def refine(
 
 def from_balances(best: Fit, why: str) -> Estimation:
     """The estimation of numbers that are left as the balances gave them."""
-    time = best.workspace.time
-    blocks = np.tile(((time - time[0]) / BLOCK).astype(int), len(best.workspace.balances.rows))
     numbers = np.array([slot.get(best.effects) for slot in best.slots])
     low, high = (np.array([getattr(slot.param, side) for slot in best.slots]) for side in ("low", "high"))
     bounds = np.where(numbers <= low, -1, np.where(numbers >= high, 1, 0))
-    return _estimation(best, covariance(best, blocks), bounds, why=why)
+    return _estimation(best, _covariance(best), bounds, why=why)
+
+
+def _covariance(best: Fit) -> np.ndarray:
+    """(k, k) of the balances' numbers."""
+    time = best.workspace.time
+    blocks = np.tile(((time - time[0]) / BLOCK).astype(int), len(best.workspace.balances.rows))
+    return covariance(best, blocks)
+
+
+def _known_better(best: Fit, estimate: Estimate) -> str:
+    """Why numbers need no refinement: the simulation confirms them, and knows them less well itself. Windows
+    tell slow torques from noise less well than a whole recording does."""
+    own, std = (np.sqrt(np.maximum(np.diag(c), 1e-300)) for c in (_covariance(best), estimate.covariance))
+    moved = estimate.numbers - np.array([slot.get(best.effects) for slot in best.slots])
+    if np.median(std / own) > LESS_WELL and np.all(np.abs(moved) < CONFIRMED * std):
+        return "the simulation confirms them, and knows them less well"
+    return ""
 
 
 def _begun(robot: Robot, recording: Recording, best: Fit) -> Refinement | str:

@@ -33,7 +33,7 @@ FLAT = 1e3  # noises by which a start may differ from its measured value: anythi
 DISTURBED = 0.01  # s, of the blocks by which the noise of motor torques is told: motors answer more slowly
 Z_SHARE = 0.3  # of an internal state's range, the same
 VISIBLE = 0.1  # energy by which one deviation of a nominal number must show, to be of any account
-MOST_WORK = 1.5e8  # entries of sensitivities times steps: some seconds; windows are left out beyond it
+MOST_WORK = 4e7  # entries of sensitivities times steps: some seconds; windows are left out beyond it
 
 
 @dataclass(frozen=True)
