@@ -267,17 +267,17 @@ def test_errors_are_smaller_than_those_of_the_balances() -> None:
 
 
 def test_the_same_recording_gives_the_same_numbers() -> None:
-    robot, recording, best = balanced(0)
+    robot, recording, best = balanced(1)
 
     again = refined.refine(robot, recording, best, findings_of(best))[0][0]
 
-    assert again.parameters == result(0)[0].parameters
+    assert again.parameters == result(1)[0].parameters
 
 
 def test_the_extended_model_holds_the_refined_numbers() -> None:
-    finding, _ = result(0)
+    finding, _ = result(1)
 
-    assert finding.planned.values["gap"] == finding.parameters["gap"].value
+    assert finding.planned.values["coefficient"] == finding.parameters["coefficient"].value
 
 
 def test_a_number_at_its_bound_is_reported() -> None:
@@ -329,7 +329,7 @@ def test_a_model_that_does_not_follow_keeps_the_balances_numbers() -> None:
 
 
 def test_a_diagnosis_refines_unless_told_not_to() -> None:
-    robot, recording, _ = balanced(0)
+    robot, recording, _ = balanced(1)
 
     plain, fine = (diagnose(robot, [recording], refine=refine) for refine in (False, True))
 
@@ -338,8 +338,9 @@ def test_a_diagnosis_refines_unless_told_not_to() -> None:
     assert fine.estimation.method == "output_error"
     assert plain.estimation is not None
     assert (plain.estimation.method, plain.estimation.why) == ("balances", "no refinement was asked for")
-    assert fine.findings[0].parameters["gap"] != plain.findings[0].parameters["gap"]
-    assert extended_model(robot, fine).effects[-1].values["gap"] == fine.findings[0].parameters["gap"].value
+    assert fine.findings[0].parameters != plain.findings[0].parameters
+    held = extended_model(robot, fine).effects[-1].values["coefficient"]
+    assert held == fine.findings[0].parameters["coefficient"].value
 
 
 # --------------------------------------------------------------------------- what is said
