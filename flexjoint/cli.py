@@ -89,6 +89,9 @@ def _parser() -> argparse.ArgumentParser:
     diagnose.add_argument("--report", type=Path, metavar="OUT.html", help="write a page to read")
     diagnose.add_argument("--model", type=Path, metavar="OUT.yaml", help="write the extended robot")
     diagnose.add_argument("--quiet", action="store_true", help="print nothing")
+    diagnose.add_argument(
+        "--no-refine", action="store_true", help="leave the numbers as the torque balances give them"
+    )
     diagnose.set_defaults(run=_diagnose)
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
@@ -195,7 +198,9 @@ def _diagnose(arguments: argparse.Namespace) -> None:
     payloads = parse(arguments.payload, [str(path) for path in arguments.recordings])
     with Progress() as bar:
         shown = no_progress if arguments.quiet else bar
-        diagnosis = diagnose(nominal, recordings, progress=shown, payloads=payloads)
+        diagnosis = diagnose(
+            nominal, recordings, progress=shown, payloads=payloads, refine=not arguments.no_refine
+        )
     extended = extended_model(nominal, diagnosis)
     page = None
     if asked.report is not None:

@@ -105,6 +105,33 @@ class Gain:
 
 
 @dataclass(frozen=True)
+class Estimation:
+    """How the numbers of the findings were found, and how they hang together.
+
+    `method` is output_error (refined on the simulation itself) or balances, `why` says why not refined.
+    `parameters` are named effect.joint.parameter, [k] for the entries of a position; `correlation` (p, p) is
+    that of their errors.
+    """
+
+    method: Literal["output_error", "balances"]
+    why: str
+    parameters: tuple[str, ...]
+    correlation: np.ndarray
+    at_bounds: tuple[tuple[str, str], ...] = ()  # (parameter, lower | upper)
+    seconds: float = 0.0  # length of the windows that were simulated
+    level: float = 1.0  # squared residual per degree of freedom, in those of the sensors' noise, at least 1
+
+    def tight(self, above: float) -> tuple[tuple[str, str, float], ...]:
+        """Pairs of parameters whose errors are correlated by more than a size, the tightest first."""
+        pairs = [
+            (self.parameters[i], self.parameters[j], float(self.correlation[i, j]))
+            for i in range(len(self.parameters))
+            for j in range(i)
+        ]
+        return tuple(sorted((p for p in pairs if abs(p[2]) > above), key=lambda p: -abs(p[2])))
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The result of `diagnose`."""
 
@@ -122,6 +149,7 @@ class Diagnosis:
     energy: tuple[float, float] = (1.0, 1.0)  # whitened residual energy per sample before, after; 1 = noise
     notes: tuple[str, ...] = ()
     fit: Mapping[str, Any] = field(default_factory=dict)
+    estimation: Estimation | None = None  # None without findings
 
 
 def to_json(diagnosis: Diagnosis, model: str | None = None) -> dict[str, Any]:
@@ -152,6 +180,19 @@ def to_json(diagnosis: Diagnosis, model: str | None = None) -> dict[str, Any]:
         "next_experiment": diagnosis.next_experiment,
         "model": model,
         "notes": list(diagnosis.notes),
+        "estimation": None if diagnosis.estimation is None else _estimation(diagnosis.estimation),
+    }
+
+
+def _estimation(estimation: Estimation) -> dict[str, Any]:
+    return {
+        "method": estimation.method,
+        "why": estimation.why,
+        "window": estimation.seconds,
+        "level": estimation.level,
+        "parameters": list(estimation.parameters),
+        "correlation": np.asarray(estimation.correlation).round(4).tolist(),
+        "at_bounds": [{"parameter": name, "bound": bound} for name, bound in estimation.at_bounds],
     }
 
 

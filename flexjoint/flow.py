@@ -215,7 +215,7 @@ def _state(part: Part, s: Signals, z: Any, ahead: float) -> Value:
     if part.slot < 0:
         return 0.0
     now = z[part.slot]
-    if ahead == 0.0:
+    if not ops.is_symbolic(ahead) and ahead == 0.0:
         return now
     rate = part.effect.rate(s, part.p, now)
     step = STEP * (1.0 + ops.absolute(now))

@@ -51,6 +51,8 @@ def summary(diagnosis: Diagnosis, robot: Robot, console: Console) -> None:
         _causes(say, diagnosis)
     for tie in sentences.ties(diagnosis):
         say.line(tie)
+    for line in sentences.numbers(diagnosis):
+        say.line(line)
     for finding in diagnosis.findings:
         if finding.hidden_by_refit:
             name = capital(cause(finding.effect, finding.joint))

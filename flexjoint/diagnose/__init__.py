@@ -9,15 +9,16 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from flexjoint.diagnose import held_out, leftover, verdict
+from flexjoint.diagnose import held_out, leftover, refined, verdict
 from flexjoint.diagnose.balances import Balances
 from flexjoint.diagnose.candidates import STILL, enumerate_candidates
 from flexjoint.diagnose.experiment import advice
+from flexjoint.diagnose.fit import Fit
 from flexjoint.diagnose.selection import Selection, select
 from flexjoint.diagnose.together import combine
 from flexjoint.diagnose.verdict import Errors, Key
 from flexjoint.diagnose.workspace import Workspace, balances_of
-from flexjoint.diagnosis import Diagnosis
+from flexjoint.diagnosis import Diagnosis, Estimation, Finding
 from flexjoint.effect import catalogue
 from flexjoint.errors import RecordingError, unknown
 from flexjoint.known_payload import KnownPayload
@@ -37,6 +38,7 @@ def diagnose(
     progress: Progress | None = None,
     excluded: frozenset[str] = frozenset(),
     payloads: Sequence[KnownPayload | None] = (),
+    refine: bool = True,
 ) -> Diagnosis:
     """Name what the nominal model gets wrong on the recordings; measure the gain on held-out blocks of the
     first, whose residuals and onsets are the ones reported.
@@ -48,6 +50,7 @@ def diagnose(
         excluded: names of effects that are left out of the catalogue.
         payloads: what was added to the robot in each recording and is known (None: nothing); empty: nothing
             in any. It is part of that recording's nominal model; the causes are common to all.
+        refine: whether the numbers of the causes are refined on the simulation itself (one recording).
 
     Raises:
         RecordingError: the recording cannot be used with this robot, or not one payload for each.
@@ -101,6 +104,8 @@ def diagnose(
             selection = verdict.without(selection, finding.planned)
             notes += (f"something like {finding.planned} would help, but others fit as well: not named",)
         measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
+    found, estimation, told = _estimated(robot, recordings, best, found, refine, report)
+    notes += told
     found = verdict.merged(found, candidates)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)
@@ -122,6 +127,7 @@ def diagnose(
             float(np.mean(selection.nothing.workspace.temper)),
             float(np.mean(best.workspace.temper)),
         ),
+        estimation=estimation,
     )
 
 
@@ -146,6 +152,27 @@ def _searched(robot: Robot, recording: Recording, excluded: frozenset[str], repo
     workspace = Workspace(balances)
     selection = select(workspace, enumerate_candidates(workspace, excluded), report)
     return verdict.sure(selection)[0]
+
+
+def _estimated(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    best: Fit,
+    found: tuple[Finding, ...],
+    refine: bool,
+    report: Progress,
+) -> tuple[tuple[Finding, ...], Estimation | None, tuple[str, ...]]:
+    """The findings with their numbers refined on the simulation where that is asked for and can be done, how
+    they were estimated, and notes."""
+    if not found:
+        return found, None, ()
+    if not refine or len(recordings) > 1:
+        why = "several recordings share their numbers" if refine else "no refinement was asked for"
+        return found, refined.from_balances(best, why), ()
+    report(0.95, "refining the numbers on the simulation")
+    found, estimation = refined.refine(robot, recordings[0], best, found)
+    why = estimation.why
+    return found, estimation, (f"numbers are those of the torque balances: {why}",) if why else ()
 
 
 def _part(report: Progress, begin: float, share: float) -> Progress:

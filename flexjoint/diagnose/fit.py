@@ -155,17 +155,17 @@ def normal_equations(
     normal = workspace.product(jacobian, jacobian)
     slope = workspace.against(jacobian, y)
     for k, slot in enumerate(slots):
-        value, first = _weak_prior(slot, effects)
+        value, first = weak_prior(slot, effects)
         normal[k, k] += first**2
         slope[k] += first * value
     return normal, slope
 
 
 def _prior(slots: Sequence[Slot], effects: Sequence[Planned]) -> float:
-    return sum(_weak_prior(slot, effects)[0] ** 2 for slot in slots)
+    return sum(weak_prior(slot, effects)[0] ** 2 for slot in slots)
 
 
-def _weak_prior(slot: Slot, effects: Sequence[Planned]) -> tuple[float, float]:
+def weak_prior(slot: Slot, effects: Sequence[Planned]) -> tuple[float, float]:
     """How many deviations a number lies from what is plausible at all, and the derivative of that: factors
     are off by a factor of two as a rule at most; positions lie within reach."""
     number, param = slot.get(effects), slot.param

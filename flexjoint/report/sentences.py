@@ -10,6 +10,9 @@ from flexjoint.effect import Kind
 from flexjoint.report import merit
 from flexjoint.report.wording import capital, cause, clean, listed, parameters, percent, sentence, signal_name
 
+TIGHT = 0.95  # correlation of two errors, from which it is said
+MOST_PAIRS = 3  # of them that are named
+
 VERDICTS: Mapping[str, str] = {
     "causes": "Causes named",
     "healthy": "Healthy",
@@ -42,6 +45,45 @@ def ties(diagnosis: Diagnosis) -> tuple[str, ...]:
             sentence(f"This recording cannot tell {name} from {others}" + (f": {why}" if why else ""))
         )
     return tuple(said)
+
+
+def numbers(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """What to know of the causes' numbers: which hang together, which are at a bound."""
+    estimation = diagnosis.estimation
+    if estimation is None:
+        return ()
+    said = [
+        sentence(
+            f"The errors of {_parameter(one)} and {_parameter(other)} are correlated by {size:.2f}: this"
+            " recording knows one of them only together with the other"
+        )
+        for one, other, size in estimation.tight(TIGHT)[:MOST_PAIRS]
+    ]
+    if estimation.at_bounds:
+        names = listed(f"{_parameter(name)} ({bound})" for name, bound in estimation.at_bounds)
+        said.append(sentence(f"At a bound of what the catalogue allows: {names}"))
+    return tuple(said)
+
+
+def found_by(diagnosis: Diagnosis) -> str:
+    """How the causes' numbers were found; empty without causes."""
+    estimation = diagnosis.estimation
+    if estimation is None:
+        return ""
+    if estimation.method == "output_error":
+        return (
+            f"Numbers are those with which the simulation follows the readings best, restarted every"
+            f" {estimation.seconds:g} s."
+        )
+    why = f": {clean(estimation.why)}" if estimation.why else ""
+    return sentence(f"Numbers are those of the torque balances{why}")
+
+
+def _parameter(name: str) -> str:
+    """effect.joint.parameter as words; a joint's name may hold dots."""
+    effect, rest = name.split(".", 1)
+    joint, parameter = rest.rsplit(".", 1)
+    return f"{clean(parameter)} of {cause(effect, None if joint == 'robot' else joint)}"
 
 
 def because(finding: Finding) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flexjoint.diagnosis import Finding
-from flexjoint.report import plots
+from flexjoint.report import plots, sentences
 from flexjoint.report.material import Material
 from flexjoint.report.wording import (
     capital,
@@ -55,10 +55,15 @@ class Cause:
 @dataclass(frozen=True)
 class CausesSection:
     causes: tuple[Cause, ...]
+    numbers: tuple[str, ...]  # how they were found, which hang together, which are at a bound
 
 
 def build(material: Material) -> CausesSection:
-    return CausesSection(tuple(_cause(finding) for finding in material.diagnosis.findings))
+    diagnosis = material.diagnosis
+    said = (sentences.found_by(diagnosis), *sentences.numbers(diagnosis))
+    return CausesSection(
+        tuple(_cause(finding) for finding in diagnosis.findings), tuple(line for line in said if line)
+    )
 
 
 def _cause(finding: Finding) -> Cause:
