@@ -271,8 +271,11 @@ class DiscreteModel:
 
     def advanced(self, state: State, u: ca.SX) -> ca.SX:
         """The first `plain` entries of the discrete state a step later, under torques u that act at once."""
-        after = self._advance(state, u)
-        return ca.SX(ca.vertcat(self.symbolic.model.pack(after), after.acc, after.ddtheta, after.tau_rigid))
+        return self.pack(self._advance(state, u))
+
+    def pack(self, state: State) -> ca.SX:
+        """The first `plain` entries of a discrete state, of a state."""
+        return ca.SX(ca.vertcat(self.symbolic.model.pack(state), state.acc, state.ddtheta, state.tau_rigid))
 
     def measure(self) -> ca.Function:
         """measure(x, u, p, t) -> y of the discrete state x, sensor delays included."""

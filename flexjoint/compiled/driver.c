@@ -2,7 +2,8 @@
    counter, torques held in between, delays by looking rows up. It follows flexjoint/clockwork.py line by
    line; arithmetic on times and delays is in the same order, so that both take the same branches.
 
-   Generated above: fj_step, fj_signals, fj_control, fj_observe, fj_setup and the sizes FJ_*. */
+   Above: fj_step, generated or of newton.c; generated fj_signals, fj_control, fj_observe and
+   the sizes FJ_*. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -29,6 +30,7 @@ typedef struct {
   fj_int begin, end;           /* steps to take, counted from the start */
   fj_int tick_count, tick_steps; /* f_c / f_s as a fraction */
   fj_int stride, q_ref;          /* q_ref: its place in a row of reference, -1: none */
+  fj_int worst;                /* out: the unknown for which a step did not converge, or -1 */
   fj_int fill;                 /* whether the first command also holds before the start */
   double t_start, t, h;        /* [s] time at the start, at step `begin`, of a step */
 } fj_run;
@@ -118,19 +120,10 @@ static int fj_finite(const double *x) {
   return 1;
 }
 
-/* Constants (FJ_NC) of the parameters (FJ_NP). */
-FJ_EXPORT void flexjoint_setup(const double *parameters, double *constants) {
-  const double *arg[1];
-  double *res[1];
-  arg[0] = parameters;
-  res[0] = constants;
-  fj_setup(arg, res, 0, 0, 0);
-}
-
 static fj_int fj_steps(fj_run *run, double *work) {
   const double *arg[FJ_STEP_ARG];
   double *res[FJ_STEP_RES], late[FJ_NU + 1];
-  fj_int k, i, row;
+  fj_int k, i, row, failed;
   if (run->reading_delay && run->begin == 0)
     for (row = 0; row <= run->first; row++) fj_true(run, row, run->y + (row % run->window) * FJ_NY);
   for (k = run->begin; k < run->end; k++) {
@@ -159,7 +152,12 @@ static fj_int fj_steps(fj_run *run, double *work) {
     arg[2] = run->constants;
     arg[3] = &run->t;
     res[0] = next;
-    fj_step(arg, res, 0, work, 0);
+    failed = fj_step(arg, res, 0, work, 0);
+    if (failed) {
+      memcpy(next, x, FJ_NX * sizeof(double)); /* nothing after it: the state before the step stays */
+      run->worst = failed - 1;
+      return k;
+    }
     run->t += run->h;
     if (run->reading_delay) fj_true(run, row + 1, run->y + ((row + 1) % run->window) * FJ_NY);
     if ((k + 1) % FJ_WATCH == 0 && !fj_finite(next)) return k;
@@ -169,11 +167,13 @@ static fj_int fj_steps(fj_run *run, double *work) {
   return -1;
 }
 
-/* Take the steps [begin, end). Returns -1, or the step after which the state was not finite; -2 where memory
-   is short. */
+/* Take the steps [begin, end). Returns -1, or the step that did not converge (worst is not -1 then) or after
+   which the state was not finite; -2 where memory is short. */
 FJ_EXPORT fj_int flexjoint_run(fj_run *run) {
   double *work = malloc(FJ_STEP_W * sizeof(double));
-  fj_int failed = work ? fj_steps(run, work) : -2;
+  fj_int failed;
+  run->worst = -1;
+  failed = work ? fj_steps(run, work) : -2;
   free(work);
   return failed;
 }

@@ -16,10 +16,11 @@ import casadi as ca
 import numpy as np
 
 from flexjoint.clockwork import Ticks, _segments, diverged, longest_delay
-from flexjoint.compiled.cache import library
-from flexjoint.compiled.compiler import Compiler, CompilerError, compilers
+from flexjoint.compiled.cache import load
+from flexjoint.compiled.compiler import Compiler
 from flexjoint.compiled.program import Program, numbers_of, write_program
 from flexjoint.control import Law
+from flexjoint.implicit import not_converged
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.parameters import parameter_table
@@ -62,6 +63,7 @@ class _Run(ctypes.Structure):
                 "tick_steps",
                 "stride",
                 "q_ref",
+                "worst",
                 "fill",
             )
         ),
@@ -99,7 +101,8 @@ class Job:
 class Rows:
     """What a run leaves: states (R, row) and commands (R, n) of the kept rows (of the whole tape, where all
     are kept, with the `first` ones before the start); final (row,); summary (4, observed): least, largest,
-    sum and sum of squares over the steps; failed: the step that left the finite numbers, or -1."""
+    sum and sum of squares over the steps; failed: the step that left the finite numbers, or did not converge
+    (worst is the place of its worst unknown then, else -1), or -1."""
 
     states: np.ndarray
     tau_m: np.ndarray
@@ -107,6 +110,7 @@ class Rows:
     summary: np.ndarray | None
     first: int
     failed: int
+    worst: int = -1
 
 
 class CompiledModel:
@@ -225,10 +229,10 @@ class CompiledModel:
         failed = self._take_steps(run, job)
         final = x[(first + (job.steps if failed < 0 else failed + 1)) % window].copy()
         if not whole:
-            return Rows(kept_x, kept_tau_m, final, sums, 0, failed)
+            return Rows(kept_x, kept_tau_m, final, sums, 0, failed, run.worst)
         if job.steps:
             tau_m[-1] = tau_m[-2]
-        return Rows(x, tau_m, final, sums, first, failed)
+        return Rows(x, tau_m, final, sums, first, failed, run.worst)
 
     def _take_steps(self, run: _Run, job: Job) -> int:
         """All steps of a job, phase by phase; the step that failed, or -1."""
@@ -260,6 +264,9 @@ class CompiledModel:
         tau_rigid = x[:, ends[-1] + model.nv + model.nf :]
         time = job.t + (np.arange(len(x)) - rows.first) / self.rate
         tape = Trajectory(time, q, v, theta, dtheta, z, tau_rigid, rows.tau_m, rows.first)
+        if rows.worst >= 0:
+            at = float(time[rows.first + rows.failed])
+            raise not_converged(model, at, 1.0 / self.rate, rows.worst)
         if rows.failed >= 0:
             taken = slice(rows.first, rows.first + rows.failed + 2)
             finite = np.isfinite(v[taken]).all(axis=1) & np.isfinite(dtheta[taken]).all(axis=1)
@@ -284,19 +291,11 @@ def _delays(symbolic: SymbolicModel, program: Program) -> ca.Function:
 
 def _load(program: Program, compiler: Compiler | None) -> tuple[Compiler, ctypes.CDLL]:
     """The program's library, by the first compiler that succeeds."""
-    tried = [compiler] if compiler is not None else list(compilers())
-    failure = CompilerError("no C compiler: install one, or pip install 'flexjoint[jit]'")
-    for candidate in tried:
-        try:
-            loaded = ctypes.CDLL(str(library(program.source, candidate)))
-        except CompilerError as error:
-            failure = error
-            continue
-        loaded.flexjoint_setup.argtypes, loaded.flexjoint_setup.restype = [_DOUBLES, _DOUBLES], None
-        loaded.flexjoint_run.argtypes = [ctypes.POINTER(_Run)]
-        loaded.flexjoint_run.restype = ctypes.c_longlong
-        return candidate, loaded
-    raise failure
+    used, loaded = load(program.source, compiler)
+    loaded.flexjoint_setup.argtypes, loaded.flexjoint_setup.restype = [_DOUBLES, _DOUBLES], None
+    loaded.flexjoint_run.argtypes = [ctypes.POINTER(_Run)]
+    loaded.flexjoint_run.restype = ctypes.c_longlong
+    return used, loaded
 
 
 def _pointer(values: np.ndarray) -> int:
