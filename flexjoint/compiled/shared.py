@@ -30,10 +30,13 @@ def compiled_for(
     scheme: str = DEFAULT,
     width: float | None = None,
     free: Collection[str] = ("drives",),
+    commanded: Collection[str] = (),
 ) -> CompiledModel:
     """The compiled model of this structure, made if need be. Arguments and errors as for CompiledModel."""
-    key = _structure(model, rate, law, references, scheme, width, free)
-    return _shared(key, lambda: CompiledModel(model, rate, law, references, scheme, width, free))
+    key = (*_structure(model, rate, law, references, scheme, width, free), tuple(commanded))
+    return _shared(
+        key, lambda: CompiledModel(model, rate, law, references, scheme, width, free, None, commanded)
+    )
 
 
 def rates_for(model: FlexibleJointModel, at: float) -> RatesProgram:
