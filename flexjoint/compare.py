@@ -10,13 +10,13 @@ import numpy as np
 
 from flexjoint import clockwork
 from flexjoint.clock import on_regular_clock
-from flexjoint.clockwork import Past, Trajectory, longest_delay, physics_rate, readings, rollout
+from flexjoint.clockwork import Past, Ticks, Trajectory, longest_delay, readings, rollout
 from flexjoint.control import Law, law_of
 from flexjoint.errors import RecordingError
 from flexjoint.estimate import Motion, StateEstimator
 from flexjoint.model import FlexibleJointModel
 from flexjoint.recording import MEASURED, Recording
-from flexjoint.simulate import REFERENCES, references_at, torque_channel, torque_over
+from flexjoint.simulate import REFERENCES, command_rate, references_at, torque_channel, torque_over
 
 HORIZON = 0.5  # [s]
 LONGEST_GAP = 5.0  # sampling periods over which a drive may be interpolated
@@ -105,9 +105,8 @@ class _Driver:
         closed_loop: bool,
     ) -> None:
         self.recording, self.model, self.estimator = recording, model, estimator
-        self.rate = physics_rate(model.robot)
-        self.control = model.robot.rates.control
-        self.per_tick = round(self.rate / self.control)
+        self.rate, self.control = model.robot.rates.physics, model.robot.rates.control
+        self.commanded = command_rate(recording, model.robot)
         self.ticks = int(np.ceil(horizon * self.control - 1e-6))
         self.joints = model.robot.joint_names
         recorded = torque_channel(recording, self.joints)
@@ -129,10 +128,10 @@ class _Driver:
 
     def run(self, start: float, motion: Motion, k: int) -> Trajectory:
         state = self.estimator.state(motion, k)
-        steps = self.ticks * self.per_tick
+        steps = Ticks(self.rate, self.control).steps(self.ticks)
         if self.law is None:
             edges = start + np.arange(-self.before, steps + 1) / self.rate
-            torque = torque_over(self.recording, self.joints, edges, self.control)
+            torque = torque_over(self.recording, self.joints, edges, self.commanded)
             past = self._past(start, torque[: self.before])
             return rollout(self.model, state, torque[self.before :], self.rate, past)
         table = references_at(self.model, self.recording, start + np.arange(self.ticks) / self.control)
