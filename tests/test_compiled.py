@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from loops import FRICTIONS, GAINS, agree, loops_agree, moving, references
 
 from flexjoint import engine, ops
 from flexjoint.clockwork import Past, physics_rate
-from flexjoint.compiled import CompiledModel, CompilerError, cache, compiled_for, compiler, program, shared
+from flexjoint.compiled import CompiledModel, CompilerError, compiled_for, compiler, program, shared
 from flexjoint.control import LAWS, MotorPD, gain_names, law_of
 from flexjoint.effect import Planned, plan
 from flexjoint.errors import SimulationError, UnknownNameError
@@ -26,14 +26,7 @@ from flexjoint.model import FlexibleJointModel
 from flexjoint.robot import load, shipped_robots
 from flexjoint.springs import VariableSpring
 
-
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FLEXJOINT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        cache.cache_folder.cache_clear()
-        yield
-    cache.cache_folder.cache_clear()
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 # ------------------------------------------------------------------ agreement

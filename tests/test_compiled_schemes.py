@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from loops import FRICTIONS, GAINS, agree, loops_agree, moving, references
 
 from flexjoint import engine, implicit
 from flexjoint.batch import rollouts
-from flexjoint.compiled import CompiledRates, cache, shared
+from flexjoint.compiled import CompiledRates, shared
 from flexjoint.control import LAWS, gain_names, law_of
 from flexjoint.effect import Planned, plan
 from flexjoint.errors import SimulationError
@@ -26,15 +25,7 @@ from flexjoint.reference import continuous_control
 ITERATING = ("implicit_midpoint", "reference")
 WIDTH = 0.05  # [rad/s] of smoothed dry friction
 JOINTS = ("yaw", "roll", "pitch")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FLEXJOINT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        cache.cache_folder.cache_clear()
-        yield
-    cache.cache_folder.cache_clear()
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def every_effect() -> list[Planned]:
