@@ -17,15 +17,16 @@ from flexjoint.trajectory import Trajectory
 GOLDEN = Path(__file__).parent / "golden" / "whole_body.parquet"
 GRAVITY, MOTOR = "none", "link"  # the variant that gives the paper's picture
 
-# The last bit, measured over the 44 s: the pin loop (other sums) or C with -ffast-math move q by 2e-13 rad and
-# tau_t by 1e-10 N m; references moved by 1e-12 of themselves, as by another SciPy, q by 9e-13 rad and tau_t by
-# 3e-9 N m. Physics: a stiffness off by 1 %, of any one joint, moves q by 1e-6 rad or more, and tau_t by 7e-4 N m;
-# the damping of one spring off by 1 %, which hardly acts, q by 4e-9 rad.
-BETWEEN = "a last bit moves 1000 times less, 1 % of one stiffness 1000 times more"
+# The last bit, measured over the 44 s: the pin loop (other sums) and C with -ffast-math move q by 2e-13 rad
+# and tau_t by 1.4e-10 N m; references moved by 1e-12 of themselves, as by another SciPy, q by 9e-13 rad and
+# tau_t by 3e-9 N m. Another C compiler (clang of ziglang) moves nothing. Physics: a stiffness off by 1 %, of
+# any one joint, moves q by 2.5e-7 rad and tau_t by 1e-4 N m or more; the damping of one spring off by 1 %,
+# which hardly acts, q by 4e-9 rad.
+BETWEEN = "a last bit moves 1000 times less, 1 % of one stiffness 250 times more"
 TOLERANCES = {
     "q": testing.Tolerance(1e-9, BETWEEN),
     "base": testing.Tolerance(1e-9, BETWEEN),
-    "tau_t": testing.Tolerance(1e-6, "a last bit moves 300 times less, 1 % of one stiffness 700 times more"),
+    "tau_t": testing.Tolerance(1e-6, "a last bit moves 300 times less, 1 % of one stiffness 100 times more"),
 }
 
 
@@ -46,12 +47,11 @@ def golden(model: FlexibleJointModel) -> testing.GoldenRun:
     return testing.golden_run(model, tape, 5.0, ["q", "tau_t", "base"], settings=told)
 
 
-def changed(**factors: float) -> FlexibleJointModel:
-    """CENTAURO with one number of a drive times a factor; the joint and the number with two underscores."""
+def changed(joint: str, number: str) -> FlexibleJointModel:
+    """CENTAURO with one number of a drive 1 % larger."""
     robot = whole_body.robot_model().robot
-    joint, number = next(iter(factors)).split("__")
-    symbol = {"stiffness": "K", "damping": "D", "motor_inertia": "B"}[number]
-    value = getattr(robot.joint(joint).drive, symbol) * next(iter(factors.values()))
+    symbol = {"stiffness": "K", "motor_inertia": "B"}[number]
+    value = 1.01 * getattr(robot.joint(joint).drive, symbol)
     return FlexibleJointModel(*renumbered(robot, robot.effects, {f"drive.{joint}.{number}": value}))
 
 
@@ -60,11 +60,12 @@ def test_the_same_bits_again_and_in_a_new_process() -> None:
 
 
 def test_the_pin_loop_and_the_compiled_clockwork_agree() -> None:
-    """Measured over all 44 s, three variants: 2e-13 rad at most and 1.4e-13 RMS in q, so stick and slip do not
-    amplify the last bit here: the feet roll and what slips slips slowly. Two seconds of waiting and the turn of
-    the wheels, then the legs' move, are in this part."""
+    """Over all 44 s and three variants at most 2e-13 rad, 1.4e-13 RMS, were measured in q: stick and slip do
+    not amplify the last bit of this motion. This part has the wait, the wheels' turn and the legs' move."""
     model = whole_body.robot_model()
-    pin, compiled = (whole_body.simulated(model, GRAVITY, MOTOR, engine, 5.0) for engine in ("pin", "compiled"))
+    pin, compiled = (
+        whole_body.simulated(model, GRAVITY, MOTOR, engine, 5.0) for engine in ("pin", "compiled")
+    )
     first = slice(0, 2 * whole_body.PHYSICS + 1)  # the second at rest, and the first of motion
     for name in ("q", "v", "theta", "dtheta"):
         one, other = getattr(pin, name), getattr(compiled, name)
@@ -79,12 +80,14 @@ def test_the_run_is_the_golden_one() -> None:
     assert GOLDEN.stat().st_size < 300_000
 
 
-@pytest.mark.parametrize("number", ["ankle_yaw_1__stiffness", "j_arm1_6__stiffness", "hip_pitch_1__motor_inertia"])
-def test_one_per_cent_of_one_number_fails(number: str) -> None:
-    """Those whose change moves the run least (stiffnesses), and one that acts in motion only."""
+@pytest.mark.parametrize(
+    ("joint", "number"), [("ankle_yaw_3", "stiffness"), ("hip_pitch_1", "motor_inertia")]
+)
+def test_one_per_cent_of_one_number_fails(joint: str, number: str) -> None:
+    """The stiffness whose change moves the run least of all, and a number that acts in motion only."""
     with pytest.raises(AssertionError) as failure:
-        testing.assert_golden(golden(changed(**{number: 1.01})), GOLDEN, TOLERANCES)
-    assert f"drive.{number.replace('__', '.')}: " in str(failure.value)
+        testing.assert_golden(golden(changed(joint, number)), GOLDEN, TOLERANCES)
+    assert f"drive.{joint}.{number}: " in str(failure.value)
 
 
 def test_energy_is_not_made_and_the_law_of_rest_holds() -> None:
@@ -93,7 +96,9 @@ def test_energy_is_not_made_and_the_law_of_rest_holds() -> None:
     balance = testing.assert_energy_balance(model, tape, 1e-9)
     assert balance.missing[-1] > 1.0  # what sliding feet took
     told = whole_body.references(GRAVITY, MOTOR)
-    standing = [joint.name for joint, rolls in zip(model.joints, whole_body.wheels(model), strict=True) if not rolls]
+    standing = [
+        joint.name for joint, rolls in zip(model.joints, whole_body.wheels(model), strict=True) if not rolls
+    ]
     testing.assert_static_law(
         model, tape, told["theta_ref"][-1], told["tau_ff"][-1], seconds=1.0, tolerance=1e-4, joints=standing
     )
