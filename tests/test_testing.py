@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -299,3 +302,19 @@ def test_broken_limits_are_named() -> None:
         testing.assert_limits(free, at_limit, ["torque"])
     with pytest.raises(UnknownNameError, match="kind of limit 'power'"):
         testing.assert_limits(free, tape, ["power"])
+
+
+# --- the example -----------------------------------------------------------------------------------------
+def test_the_example_of_the_page_is_the_file_and_passes(tmp_path: Path) -> None:
+    """In a folder of its own, as a user's."""
+    example = ROOT / "examples" / "test_my_robot.py"
+    (shown,) = re.findall(
+        r"^```python\n(.*?)^```", (ROOT / "docs" / "testing.md").read_text(), re.DOTALL | re.MULTILINE
+    )
+    assert shown == example.read_text(encoding="utf-8")
+    shutil.copy(example, tmp_path)
+    shutil.copytree(example.parent / "golden", tmp_path / "golden")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", example.name]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "5 passed" in done.stdout
