@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
+from flexjoint import recording
 from flexjoint.errors import FlexJointError, unknown
 from flexjoint.files import write_bytes
 from flexjoint.model import FlexibleJointModel
@@ -26,16 +27,9 @@ from flexjoint.trajectory import Trajectory
 
 SCHEMA = 1
 KEY = b"flexjoint.golden"  # of the Parquet file's metadata
+SIGNALS = ("q", "dq", "theta", "dtheta", "tau_t", "tau_m")
 UNITS: Mapping[str, str] = MappingProxyType(
-    {
-        "q": "rad",
-        "dq": "rad/s",
-        "theta": "rad",
-        "dtheta": "rad/s",
-        "tau_t": "N m",
-        "tau_m": "N m",
-        "base": "m, 1",
-    }
+    {**{channel: recording.UNITS[channel] for channel in SIGNALS}, "base": "m, 1"}
 )
 CHANNELS = ("q", "theta", "tau_t", "tau_m")
 BASE = ("x", "y", "z", "qx", "qy", "qz", "qw")

@@ -27,8 +27,8 @@ def assert_static_law(
 
     The load tau = g(q) - J_c' lambda is that of the rigid body and its contacts, the springs not asked. Then
     the motor is at theta_ref - (tau - tau_ff)/K_P and the link at that less the spring's deflection under tau
-    (Kashiri et al. 2017, equations 1 to 4 at rest). Dry friction of motors, effects on the command and
-    saturation are not in this law.
+    (Kashiri et al. 2017, equations 1 to 4 at rest). Dry friction of motors, effects on the command
+    and on sensors, and saturation are not in this law.
 
     Args:
         theta_ref, tau_ff: (n,) references that hold at the end [rad, N m].
