@@ -147,6 +147,12 @@ class PinBody:
         """(3,) in the base, of the moving bodies: what is fixed to the base does not count."""
         return pin.centerOfMass(self._model, self._data, q)
 
+    def energy(self, q: np.ndarray, v: np.ndarray) -> float:
+        """Kinetic and potential energy of the moving bodies [J], the model's own armature included; the
+        potential is 0 with all of them at the origin."""
+        kinetic = 0.5 * float(v @ self.mass_matrix(q) @ v)
+        return kinetic + float(pin.computePotentialEnergy(self._model, self._data, q))
+
     # ------------------------------------------------------------------ trajectories of N rows
 
     def rnea_batch(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:

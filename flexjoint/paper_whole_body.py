@@ -206,8 +206,19 @@ def quickest() -> engine.Engine:
 @cache
 def run(gravity: str, motor: str, which: engine.Engine) -> Run:
     """One variant, from rest in the initial pose. Raises UnknownNameError."""
-    told = references(gravity, motor)
     model = robot_model()
+    tape = simulated(model, gravity, motor, which)
+    told = references(gravity, motor)
+    holds = tuple(_hold(model, law_of(model.robot), tape, told, k) for k in (1, 2))
+    return Run(gravity, motor, tape, holds)
+
+
+def simulated(
+    model: FlexibleJointModel, gravity: str, motor: str, which: engine.Engine, seconds: float = SECONDS
+) -> Trajectory:
+    """The first seconds of a variant, by a model with the joints and poses of `robot_model`, whose
+    references it follows; from rest in its initial pose. Raises UnknownNameError."""
+    told = references(gravity, motor)
     held: Any = law_of(model.robot)
     rolls = wheels(model)
     free = replace(held, kp=np.where(rolls, 0.0, held.kp), kd=np.where(rolls, 0.0, held.kd))
@@ -216,8 +227,10 @@ def run(gravity: str, motor: str, which: engine.Engine) -> Run:
     parts: list[Trajectory] = []
     begin = 0
     at_last = free if gravity == "contact" else held
-    for law, seconds in ((held, WAIT), (free, brake), (at_last, WAIT + 2 * LEG)):
-        end = round(seconds * CONTROL)
+    for law, until in ((held, WAIT), (free, brake), (at_last, WAIT + 2 * LEG)):
+        end = round(min(until, seconds) * CONTROL)
+        if end == begin:
+            break
         rows = {name: values[begin:end] for name, values in told.items()}
         if law is held:
             places = [model.joints[i].idx_q for i in np.flatnonzero(rolls)]
@@ -226,9 +239,7 @@ def run(gravity: str, motor: str, which: engine.Engine) -> Run:
         parts.append(engine.closed_loop(model, state, law, rows, PHYSICS, engine=which))
         state = parts[-1].state(len(parts[-1].time) - 1)
         begin = end
-    tape = _joined(parts)
-    holds = tuple(_hold(model, held, tape, told, k) for k in (1, 2))
-    return Run(gravity, motor, tape, holds)
+    return _joined(parts)
 
 
 def _joined(parts: list[Trajectory]) -> Trajectory:
