@@ -235,6 +235,11 @@ def make_step(model: FlexibleJointModel, h: float, scheme: str = DEFAULT, width:
             f"{scheme} smooths dry friction as level tanh(velocity / width): give a width > 0 [rad/s], or"
             f" use {DEFAULT}, where it sticks (got width={width})"
         )
+    if model.ground is not None and not model.ground.springy and scheme != DEFAULT:
+        raise SimulationError(
+            f"{scheme} takes no rigid ground, whose impulses belong to the step of {DEFAULT}: use that, or"
+            " ground: compliant"
+        )
     step = SCHEMES[scheme](model, h, width)
     if model.ground is None or scheme == DEFAULT:  # which lets anchors slip at its midpoint
         return step

@@ -12,6 +12,7 @@ import numpy as np
 from flexjoint import robot_schema
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.robot import Robot, build
+from flexjoint.trajectory import Trajectory
 
 HALF = 0.2  # of the box's width and length [m]
 BOX, FLYWHEEL = 7.5, 0.5  # masses [kg]
@@ -85,3 +86,23 @@ def lifted(model: FlexibleJointModel, height: float) -> State:
     q = np.array(model.body.neutral)
     q[2] = height
     return model.rest(q)
+
+
+def energy(model: FlexibleJointModel, tape: Trajectory, row: int) -> float:
+    """Kinetic, of weight and of springs, those of compliant contacts included [J]."""
+    assert model.ground is not None
+    q, v, theta, dtheta = tape.q[row], tape.v[row], tape.theta[row], tape.dtheta[row]
+    links = q[[model.joints[i].idx_q for i in model.flexible]]
+    drives = [model.flows[i].drive for i in model.flexible]
+    mass = model.robot.mass
+    out = 0.5 * v @ model.body.mass_matrix(q) @ v + mass * 9.81 * model.body.center_of_mass(q)[2]
+    out += sum(0.5 * d.K * x**2 for d, x in zip(drives, theta - links, strict=True))
+    out += sum(0.5 * d.B * w**2 for d, w in zip(drives, dtheta, strict=True))
+    if not model.ground.springy:
+        return float(out)
+    touch = model.ground.touch(model, q, v, tape.z[row])
+    for k, item in enumerate(model.ground.contacts):
+        stretch = np.array(touch.points[k][:2]) - np.array(touch.anchors[2 * k : 2 * k + 2])
+        out += 0.5 * item.stiffness * min(touch.points[k][2], 0.0) ** 2
+        out += 0.5 * item.tangential_stiffness * stretch @ stretch
+    return float(out)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import waves
-from ground_robots import BOX, FEET, FLYWHEEL, HALF, box, cart, lifted
+from ground_robots import BOX, FEET, FLYWHEEL, HALF, box, cart, energy, lifted
 
 from flexjoint import engine, robot_schema
 from flexjoint.clockwork import rollout
@@ -38,24 +38,6 @@ def forces(model: FlexibleJointModel, tape: Trajectory, row: int) -> np.ndarray:
     """(c, 3) on the robot [N]."""
     assert model.ground is not None
     return np.array(model.ground.touch(model, tape.q[row], tape.v[row], tape.z[row]).forces)
-
-
-def energy(model: FlexibleJointModel, tape: Trajectory, row: int) -> float:
-    """Kinetic, of weight and of springs, those of the contacts included [J]."""
-    assert model.ground is not None
-    q, v, theta, dtheta = tape.q[row], tape.v[row], tape.theta[row], tape.dtheta[row]
-    links = q[[model.joints[i].idx_q for i in model.flexible]]
-    drives = [model.flows[i].drive for i in model.flexible]
-    mass = model.robot.mass
-    out = 0.5 * v @ model.body.mass_matrix(q) @ v + mass * G * model.body.center_of_mass(q)[2]
-    out += sum(0.5 * d.K * x**2 for d, x in zip(drives, theta - links, strict=True))
-    out += sum(0.5 * d.B * w**2 for d, w in zip(drives, dtheta, strict=True))
-    touch = model.ground.touch(model, q, v, tape.z[row])
-    for k, item in enumerate(model.ground.contacts):
-        stretch = np.array(touch.points[k][:2]) - np.array(touch.anchors[2 * k : 2 * k + 2])
-        out += 0.5 * item.stiffness * min(touch.points[k][2], 0.0) ** 2
-        out += 0.5 * item.tangential_stiffness * stretch @ stretch
-    return float(out)
 
 
 @pytest.mark.parametrize("scheme", ONE_STEP)
