@@ -69,6 +69,11 @@ class PinBody:
         np.add(self.armature, armature, self._stepped_armature)
         return pin.aba(self._stepped, self._stepped_data, q, v, tau)
 
+    def inverse_mass_matrix(self, q: np.ndarray, armature: np.ndarray) -> np.ndarray:
+        """(nv, nv), symmetric: d aba / dtau; armature (nv,) is added to the model's own."""
+        np.add(self.armature, armature, self._stepped_armature)
+        return pin.computeMinverse(self._stepped, self._stepped_data, q)
+
     def rnea(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Joint forces (nv,) of the acceleration a."""
         return pin.rnea(self._model, self._data, q, v, a)

@@ -243,6 +243,11 @@ def check_scheme(model: FlexibleJointModel, scheme: str, width: float | None) ->
             f"{scheme} smooths dry friction as level tanh(velocity / width): give a width > 0 [rad/s], or"
             f" use {DEFAULT}, where it sticks (got width={width})"
         )
+    if model.ground is not None and not model.ground.springy and scheme != DEFAULT:
+        raise SimulationError(
+            f"{scheme} takes no rigid ground, whose impulses belong to the step of {DEFAULT}: use that, or"
+            " ground: compliant"
+        )
 
 
 def slipped(model: FlexibleJointModel, x: State) -> State:

@@ -66,6 +66,7 @@ class Robot:
     disabled: tuple[str, ...] = ()
     preset: str | None = None
     contacts: tuple[GroundContact, ...] = ()  # with the ground, of a floating base
+    ground: str = "compliant"  # or rigid: what their contact is
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -212,6 +213,7 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
         choice.spawned,
         choice.disabled,
         contacts=_contacts(model, file, (whole_frames, known), where),
+        ground=file.ground,
     )
 
 
