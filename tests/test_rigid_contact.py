@@ -219,14 +219,25 @@ def test_other_schemes_are_refused(scheme: str) -> None:
         rollout(model, lifted(model, 0.1), np.zeros((1, 1)), 1000.0, scheme=scheme)
 
 
-def test_the_compiled_engine_is_refused_and_auto_takes_the_pin_loop(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("scheme", [DEFAULT, "implicit_midpoint", "reference"])
+def test_the_compiled_engine_is_refused_also_after_the_compliant_twin_was_compiled(scheme: str) -> None:
+    """Explicit, iterating and adaptive schemes, each compiled in its own way. The twin shares the robot's
+    description, contacts and numbers."""
+    robot = box()
+    soft, model = FlexibleJointModel(robot), rigid(robot)
+    torque = np.zeros((5, 1))
+    engine.rollout(soft, lifted(soft, 0.1), torque, 1000.0, scheme=scheme, engine="compiled")
+    refused = pytest.raises(ModelError, match=r"rigid ground.*engine='pin'")
+    with refused:
+        engine.rollout(model, lifted(model, 0.1), torque, 1000.0, scheme=scheme, engine="compiled")
+    with refused:
+        LiveSimulation(model, scheme=scheme, engine="compiled")
+
+
+def test_auto_takes_the_pin_loop(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "LONG", 10)
     model = rigid(box())
     run: dict[str, Any] = {"start": lifted(model, 0.1), "torque": np.zeros((20, 1)), "rate": 1000.0}
-    with pytest.raises(ModelError, match=r"rigid ground.*engine='pin'"):
-        engine.rollout(model, engine="compiled", **run)
     with caplog.at_level(logging.INFO, logger="flexjoint"):
         tape = engine.rollout(model, **run)
     np.testing.assert_array_equal(tape.q, engine.rollout(model, engine="pin", **run).q)

@@ -82,7 +82,8 @@ def _structure(
         control = (_words(law), sizes, tuple(references))
     springs = tuple(sorted((name, id(s.stiffness), id(s.damping)) for name, s in model.springs.items()))
     timing = (rate, robot.rates.control, robot.file.sensing_delay, scheme, width)
-    return id(robot.model), robot.contacts, joints, effects, springs, control, timing, tuple(free)
+    ground = robot.contacts, robot.ground
+    return id(robot.model), ground, joints, effects, springs, control, timing, tuple(free)
 
 
 def _words(law: Any) -> Any:
