@@ -80,5 +80,5 @@ def look(shown: list[str]) -> None:
             dark = np.count_nonzero(np.max(first, axis=2) < 60)
             assert dark > 500  # of CENTAURO, which is black; 0 without it, for ground and sky are light
             if view is shown[-1]:
-                later = browsers.pixels(browser.frame(90))  # after 30 s, in the mammal pose
+                later = browsers.pixels(browser.frame(150))  # after 50 s, in the mammal pose
                 assert np.count_nonzero(browsers.changed(first, later)) > 1500

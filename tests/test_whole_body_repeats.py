@@ -18,16 +18,16 @@ pytestmark = pytest.mark.xdist_group("whole_body_repeats")  # they share what is
 GOLDEN = Path(__file__).parent / "golden" / "whole_body.parquet"
 GRAVITY, MOTOR = "none", "link"  # the variant that gives the paper's picture
 
-# The last bit, measured over the 44 s: the pin loop (other sums) and C with -ffast-math move q by 2e-13 rad
-# and tau_t by 1.4e-10 N m; references moved by 1e-12 of themselves, as by another SciPy, q by 9e-13 rad and
-# tau_t by 3e-9 N m. Another C compiler (clang of ziglang) moves nothing. Physics: a stiffness off by 1 %, of
-# any one joint, moves q by 2.5e-7 rad and tau_t by 1e-4 N m or more; the damping of one spring off by 1 %,
-# which hardly acts, q by 4e-9 rad.
-BETWEEN = "a last bit moves 1000 times less, 1 % of one stiffness 250 times more"
+# The last bit, measured over the 60 s: the pin loop (other sums) and C with -ffast-math move q by 1.2e-13 rad
+# and, the latter, tau_t by 1.2e-10 N m; references moved by 1e-12 of themselves, as by another SciPy, q by
+# 2.3e-12 rad and tau_t by 1.4e-9 N m. Another C compiler (clang of ziglang) moves nothing. Physics: a
+# stiffness off by 1 %, of any one joint, moves q by 2.5e-7 rad and tau_t by 1e-4 N m or more; the damping of
+# one spring off by 1 %, which hardly acts, q by 1.4e-9 rad and tau_t by 1.3e-5 N m.
+BETWEEN = "a last bit moves 400 times less, 1 % of one stiffness 250 times more"
 TOLERANCES = {
     "q": testing.Tolerance(1e-9, BETWEEN),
     "base": testing.Tolerance(1e-9, BETWEEN),
-    "tau_t": testing.Tolerance(1e-6, "a last bit moves 300 times less, 1 % of one stiffness 100 times more"),
+    "tau_t": testing.Tolerance(1e-6, "a last bit moves 700 times less, 1 % of one stiffness 100 times more"),
 }
 
 
@@ -61,8 +61,9 @@ def test_the_same_bits_again_and_in_a_new_process() -> None:
 
 
 def test_the_pin_loop_and_the_compiled_clockwork_agree() -> None:
-    """Over all 44 s and three variants at most 2e-13 rad, 1.4e-13 RMS, were measured in q: stick and slip do
-    not amplify the last bit of this motion. This part has the wait, the wheels' turn and the legs' move."""
+    """Over all 60 s and three variants at most 2.4e-13 rad, 1.5e-13 RMS, were measured in q: stick and slip
+    do not amplify the last bit of this motion. This part has the wait, the wheels' turn and the start of the
+    legs' move."""
     model = whole_body.robot_model()
     pin, compiled = (
         whole_body.simulated(model, GRAVITY, MOTOR, engine, 5.0) for engine in ("pin", "compiled")
@@ -82,10 +83,10 @@ def test_the_run_is_the_golden_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("joint", "number"), [("ankle_yaw_3", "stiffness"), ("hip_pitch_1", "motor_inertia")]
+    ("joint", "number"), [("ankle_yaw_4", "stiffness"), ("hip_pitch_1", "motor_inertia")]
 )
 def test_one_per_cent_of_one_number_fails(joint: str, number: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stiffness whose change moves the run least of all, and a number that acts in motion only."""
+    """The stiffness whose change moves q least of all, and a number that acts in motion only."""
     monkeypatch.delenv("FLEXJOINT_GOLDEN", raising=False)  # else this would be the golden run
     with pytest.raises(AssertionError) as failure:
         testing.assert_golden(golden(changed(joint, number)), GOLDEN, TOLERANCES)
@@ -93,7 +94,7 @@ def test_one_per_cent_of_one_number_fails(joint: str, number: str, monkeypatch: 
 
 
 def test_energy_is_not_made_and_the_law_of_rest_holds() -> None:
-    """The contacts and their springs included; the largest gain measured is 5e-11 J of 1500 J."""
+    """The contacts and their springs included; the largest gain measured is 4e-10 J of 1700 J."""
     model, tape = whole_body.robot_model(), whole_body.run(GRAVITY, MOTOR, "compiled").trajectory
     balance = testing.assert_energy_balance(model, tape, 1e-9)
     assert balance.missing[-1] > 1.0  # what sliding feet took
@@ -101,7 +102,8 @@ def test_energy_is_not_made_and_the_law_of_rest_holds() -> None:
     standing = [
         joint.name for joint, rolls in zip(model.joints, whole_body.wheels(model), strict=True) if not rolls
     ]
+    # 2e-7 rad measured, of errors up to 84 mrad: the robot still creeps by 2e-6 rad/s
     testing.assert_static_law(
-        model, tape, told["theta_ref"][-1], told["tau_ff"][-1], seconds=1.0, tolerance=1e-4, joints=standing
+        model, tape, told["theta_ref"][-1], told["tau_ff"][-1], seconds=1.0, tolerance=1e-5, joints=standing
     )
     testing.assert_limits(model, tape, ["position", "speed"])
