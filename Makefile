@@ -15,7 +15,7 @@ help:
 	@echo "make study  some 1600 planted recordings diagnosed and counted: an hour or two; stop it and it goes on"
 	@echo "make lint   style and types only"
 	@echo "make docs   regenerate docs/effects.md"
-	@echo "make pictures   draw the pictures of notebooks/effect_of_stiffness.ipynb anew"
+	@echo "make pictures   draw the pictures of effect_of_stiffness and centauro (notebooks) anew; needs Chromium"
 	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
 	@echo "make clean  remove .venv and everything that was built"
 
@@ -43,7 +43,7 @@ docs: .venv/.demo
 
 pictures: .venv/.test
 	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \
-	$(BIN)/python -m pytest tests/test_notebooks.py -k "runs_and_draws and effect_of_stiffness"
+	$(BIN)/python -m pytest tests/test_notebooks.py -k "runs_and_draws and (effect_of_stiffness or centauro)"
 
 bench: .venv/.bench
 	$(BIN)/python -m bench

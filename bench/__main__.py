@@ -26,7 +26,7 @@ from flexjoint import engine
 from flexjoint.batch import closed_loops
 from flexjoint.compiled import compiled_for
 from flexjoint.control import MotorPD, law_of
-from flexjoint.integrate import DEFAULT, NUMBERS_ONLY, SCHEMES
+from flexjoint.integrate import DEFAULT, SCHEMES
 from flexjoint.model import FlexibleJointModel
 from flexjoint.robot import Robot
 
@@ -105,7 +105,7 @@ def ours(robot: Robot, exact: np.ndarray) -> list[Contender]:
     found = []
     schemes = [DEFAULT, "rk4"]
     if len(robot.joints) <= SMALL:
-        schemes += [name for name in SCHEMES if name not in schemes and name not in NUMBERS_ONLY]
+        schemes += [name for name in SCHEMES if name not in schemes and name != engine.ADAPTIVE]
     for scheme in schemes:
         q = by_us(robot, scheme, RATE, SECONDS, "compiled")
         compiled = compiled_for(model, RATE, law, tuple(table), scheme)

@@ -22,7 +22,7 @@ from flexjoint.compiled.model import row_of
 from flexjoint.compiled.program import numbers_of, with_numbers
 from flexjoint.control import Law
 from flexjoint.effect import Planned
-from flexjoint.engine import LONG, Engine, choose
+from flexjoint.engine import ADAPTIVE, LONG, Engine, adaptive, choose
 from flexjoint.errors import SimulationError, unknown
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
@@ -58,8 +58,8 @@ class Batch:
     Every `every`-th row is kept: time (R,), x (B, R, nx) in the order of `state_names`, tau_m (B, R, n);
     R is 0 where only summaries were asked for. `final` (B, nx) is the state at the end. `summary` holds the
     true q, dq, theta, dtheta, tau_t of the actuated joints, tau_m, and error = q_ref - q (0 without q_ref)
-    over the steps. `failed_at` (B,) is the time [s] at which a rollout had left the finite numbers, NaN for
-    those that did not: its numbers mean nothing.
+    over the steps. `failed_at` (B,) is the time [s] at which a rollout had left the finite numbers, or a step
+    had not converged, NaN for those that went well: its numbers mean nothing.
     """
 
     state_names: tuple[str, ...]
@@ -211,7 +211,12 @@ def _run(
     changes = [{name: float(v[k]) for name, v in (parameters or {}).items()} for k in range(count)]
     numbered = [renumbered(model.robot, model.effects, change) if change else None for change in changes]
     total = work.steps * count
-    compiled = choose(model, total, work.rate, work.law, work.references, work.scheme, work.width, engine)
+    compiled, loop = None, "pin"
+    if work.scheme == ADAPTIVE:
+        loop = "pin" if adaptive(model, total, engine) is model else "compiled"
+    else:
+        timing = (work.scheme, work.width, engine)
+        compiled = choose(model, total, work.rate, work.law, work.references, *timing)
     if work.scheme != DEFAULT:
         for start, item in zip(starts, numbered, strict=True):
             other = FlexibleJointModel(*item, springs=model.springs) if item else model
@@ -220,7 +225,7 @@ def _run(
     for start, drive, law, item in zip(starts, drives, laws, numbered, strict=True):
         if compiled is None:
             robot, effects = item or (model.robot, model.effects)
-            tasks.append((work, robot, effects, model.springs, start, drive, law))
+            tasks.append((work, loop, robot, effects, model.springs, start, drive, law))
         else:
             tasks.append((compiled, _job(compiled, model, work.steps, start, drive, law, item), every))
     if model.springs and compiled is None:
@@ -254,6 +259,7 @@ def _by_c(compiled: CompiledModel, job: Job, every: int | None) -> _One:
 
 def _by_pin(
     work: _Work,
+    engine: Engine,
     robot: Robot,
     effects: tuple[Planned, ...],
     springs: Mapping[str, VariableSpring],
@@ -262,6 +268,8 @@ def _by_pin(
     law: Law | None,
 ) -> _One:
     model, n = FlexibleJointModel(robot, effects, springs=springs), len(robot.joints)
+    if work.scheme == ADAPTIVE:
+        model = adaptive(model, work.steps, engine)
     references = {name: drive[:, k * n : (k + 1) * n] for k, name in enumerate(work.references)}
     timing = (work.rate, None, work.scheme, work.width)
     try:

@@ -69,6 +69,11 @@ class PinBody:
         np.add(self.armature, armature, self._stepped_armature)
         return pin.aba(self._stepped, self._stepped_data, q, v, tau)
 
+    def inverse_mass_matrix(self, q: np.ndarray, armature: np.ndarray) -> np.ndarray:
+        """(nv, nv), symmetric: d aba / dtau; armature (nv,) is added to the model's own."""
+        np.add(self.armature, armature, self._stepped_armature)
+        return pin.computeMinverse(self._stepped, self._stepped_data, q)
+
     def rnea(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Joint forces (nv,) of the acceleration a."""
         return pin.rnea(self._model, self._data, q, v, a)
@@ -146,6 +151,12 @@ class PinBody:
     def center_of_mass(self, q: np.ndarray) -> np.ndarray:
         """(3,) in the base, of the moving bodies: what is fixed to the base does not count."""
         return pin.centerOfMass(self._model, self._data, q)
+
+    def energy(self, q: np.ndarray, v: np.ndarray) -> float:
+        """Kinetic and potential energy of the moving bodies [J], the model's own armature included; the
+        potential is 0 with all of them at the origin."""
+        kinetic = 0.5 * float(v @ self.mass_matrix(q) @ v)
+        return kinetic + float(pin.computePotentialEnergy(self._model, self._data, q))
 
     # ------------------------------------------------------------------ trajectories of N rows
 

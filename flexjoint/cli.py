@@ -99,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     cli_robot.add_arguments(compare)
     compare.add_argument("--horizon", type=float, default=0.5, help="window length [s], default 0.5")
     compare.add_argument("--closed-loop", action="store_true", help="drive by references, not by torques")
+    cli_robot.add_engine(compare)
     compare.add_argument("--json", type=Path, metavar="OUT.json", help="write the errors as JSON")
     compare.set_defaults(run=_compare)
 
@@ -114,6 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--width", type=float, metavar="W", help="[rad/s] over which schemes that need it smooth dry friction"
     )
+    cli_robot.add_engine(simulate)
     simulate.set_defaults(run=_simulate)
 
     _add_theta_d(commands)
@@ -225,7 +227,8 @@ def _compare(arguments: argparse.Namespace) -> None:
     loaded = cli_robot.load_chosen(arguments)
     table = recording.read(arguments.recording)
     check(loaded, table)
-    result = compare(table, FlexibleJointModel(loaded), arguments.horizon, arguments.closed_loop)
+    how = arguments.horizon, arguments.closed_loop, arguments.engine
+    result = compare(table, FlexibleJointModel(loaded), *how)
     if arguments.json is not None:
         cli_outputs.write_json(arguments.json, result.to_json())
     cli_outputs.print_comparison(result, loaded, table, Console())
@@ -245,7 +248,11 @@ def _simulate(arguments: argparse.Namespace) -> None:
     scheme = arguments.scheme or DEFAULT
     with _plain_warnings():
         result = simulate(
-            FlexibleJointModel(loaded), reference, scheme=scheme, width=arguments.width
+            FlexibleJointModel(loaded),
+            reference,
+            scheme=scheme,
+            width=arguments.width,
+            engine=arguments.engine,
         ).measured
     recording.write(result, arguments.out)
     print(f"wrote {arguments.out}: {result.duration:.4g} s of {', '.join(result.joints)}")

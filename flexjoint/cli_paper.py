@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from flexjoint import cli_robot
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -36,6 +38,7 @@ def add(commands: Any) -> None:
     whole_body.add_argument(
         "--figures", metavar="FOLDER", help="write figures like Fig. 8 and 9 of each variant"
     )
+    cli_robot.add_engine(whole_body)
     whole_body.set_defaults(run=_whole_body)
 
 
@@ -65,13 +68,14 @@ def _whole_body(arguments: argparse.Namespace) -> None:
     from flexjoint import paper_whole_body as whole_body
 
     console = Console()
+    engine = whole_body.quickest() if arguments.engine == "auto" else arguments.engine
     names = whole_body.robot_model().robot.joint_names
     shown = {label: names.index(joint) for label, joint in whole_body.SHOWN.items()}
     rows, files = [], []
     for gravity, title in whole_body.GRAVITY.items():
         for motor, reference in whole_body.MOTOR.items():
             with console.status(f"gravity_ff {title}, theta_d {reference}"):
-                found = whole_body.run(gravity, motor, whole_body.quickest())
+                found = whole_body.run(gravity, motor, engine)
                 if arguments.figures is not None:
                     files += whole_body.draw(found, Path(arguments.figures))
             for k, hold in enumerate(found.holds):

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 WIDTH = 110
 MANY = 12  # joints; more are counted, not listed
+ENGINES = ("auto", "compiled", "pin")  # those of flexjoint.engine, which takes long to import
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,6 +29,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--preset", metavar="NAME", help="a set of numbers of the robot file, e.g. soft")
     parser.add_argument("--grounded", action="store_true", help="fix a floating base")
+
+
+def add_engine(parser: argparse.ArgumentParser) -> None:
+    """The option that chooses what runs a simulation."""
+    parser.add_argument(
+        "--engine",
+        choices=ENGINES,
+        default=ENGINES[0],
+        help="what simulates: as C, or by the pin loop in Python (docs/performance.md); default auto",
+    )
 
 
 def load_chosen(arguments: argparse.Namespace, actuated: bool = True) -> Robot:

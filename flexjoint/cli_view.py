@@ -32,6 +32,7 @@ def add(commands: argparse._SubParsersAction[Any]) -> None:
         "--extended", metavar="EXT.yaml", help="and that of an extended robot, as diagnose --model writes it"
     )
     parser.add_argument("--horizon", type=float, default=0.5, help="of those simulations [s], as in compare")
+    cli_robot.add_engine(parser)
     parser.add_argument("--labels", metavar="A,B,...", help="what stands above the robots")
     parser.add_argument("--html", type=Path, metavar="OUT.html", help="write a page that opens offline")
     parser.add_argument("--images", type=Path, metavar="FOLDER", help="write PNGs (needs Chromium)")
@@ -112,20 +113,20 @@ def _motions(arguments: argparse.Namespace, robot: Robot) -> list[Motion]:
     ]
     if compared:
         check(robot, tables[0])
-        motions.insert(1, _simulated(robot, tables[0], arguments.horizon, "nominal"))
+        motions.insert(1, _simulated(robot, tables[0], arguments, "nominal"))
     if arguments.extended is not None:
-        motions.insert(2, _simulated(load(arguments.extended), tables[0], arguments.horizon, "extended"))
+        motions.insert(2, _simulated(load(arguments.extended), tables[0], arguments, "extended"))
     return motions
 
 
-def _simulated(robot: Robot, table: Recording, horizon: float, label: str) -> Motion:
+def _simulated(robot: Robot, table: Recording, arguments: argparse.Namespace, label: str) -> Motion:
     """A robot's simulation of a recording, in windows from the measured state."""
     from flexjoint import view
     from flexjoint.compare import compare
     from flexjoint.model import FlexibleJointModel
     from flexjoint.recording import make
 
-    result = compare(table, FlexibleJointModel(robot), horizon)
+    result = compare(table, FlexibleJointModel(robot), arguments.horizon, engine=arguments.engine)
     return view.from_recording(robot, make(result.time, result.simulated, label), label)
 
 

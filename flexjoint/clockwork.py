@@ -76,8 +76,7 @@ class Ticks:
 
 
 def physics_rate(robot: Robot) -> float:
-    """f_s of `simulate` and `compare` [Hz]: the robot's, raised to a whole multiple of f_c, so that every
-    recorded command begins on a sample."""
+    """The robot's f_s raised to a whole multiple of f_c [Hz], for work that takes whole steps to a tick."""
     control = robot.rates.control
     return control * math.ceil(robot.rates.physics / control - 1e-9)
 

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import engine
+from flexjoint import engine as runs
 from flexjoint.clock import on_regular_clock
-from flexjoint.clockwork import Past, Trajectory, longest_delay, physics_rate, readings
+from flexjoint.clockwork import Past, Ticks, Trajectory, longest_delay, readings
 from flexjoint.control import Law, law_of
+from flexjoint.engine import Engine
 from flexjoint.errors import RecordingError
 from flexjoint.estimate import Motion, StateEstimator
 from flexjoint.model import FlexibleJointModel
 from flexjoint.recording import MEASURED, Recording
-from flexjoint.simulate import REFERENCES, references_at, torque_channel, torque_over
+from flexjoint.simulate import REFERENCES, command_rate, references_at, torque_channel, torque_over
 
 HORIZON = 0.5  # [s]
 LONGEST_GAP = 5.0  # sampling periods over which a drive may be interpolated
@@ -53,12 +54,14 @@ def compare(
     model: FlexibleJointModel,
     horizon: float = HORIZON,
     closed_loop: bool = False,
+    engine: Engine = "auto",
 ) -> Comparison:
     """Simulate the recording in abutting windows of the horizon [s] and measure the error per channel.
 
     Each window starts from the measured state. It is driven by the recorded tau_m or tau_motor; through the
     robot's controller when both are absent, or `closed_loop`. A last partial window is dropped. From a
-    gap of more than 5 sampling periods in the drive on, a window counts in no sum.
+    gap of more than 5 sampling periods in the drive on, a window counts in no sum. engine: see
+    `flexjoint.engine`; windows are short runs, which auto leaves to the pin loop.
 
     Raises RecordingError when the recording lacks what that needs or is shorter than one window,
     SimulationError when the simulation diverges.
@@ -73,7 +76,7 @@ def compare(
         )
     starts = begin + horizon * np.arange(windows)
     estimator = StateEstimator(recording, model)
-    driver = _Driver(recording, model, estimator, horizon, windows, closed_loop)
+    driver = _Driver(recording, model, estimator, horizon, windows, closed_loop, engine)
     simulated = {
         key: np.full(len(recording.time), np.nan)
         for key in recording.columns
@@ -104,12 +107,13 @@ class _Driver:
         horizon: float,
         windows: int,
         closed_loop: bool,
+        engine: Engine,
     ) -> None:
         self.windows = windows
         self.recording, self.model, self.estimator = recording, model, estimator
-        self.rate = physics_rate(model.robot)
-        self.control = model.robot.rates.control
-        self.per_tick = round(self.rate / self.control)
+        self.engine: Engine = engine
+        self.rate, self.control = model.robot.rates.physics, model.robot.rates.control
+        self.commanded = command_rate(recording, model.robot)
         self.ticks = int(np.ceil(horizon * self.control - 1e-6))
         self.joints = model.robot.joint_names
         recorded = torque_channel(recording, self.joints)
@@ -131,17 +135,25 @@ class _Driver:
 
     def run(self, start: float, motion: Motion, k: int) -> Trajectory:
         state = self.estimator.state(motion, k)
-        steps = self.ticks * self.per_tick
+        steps = Ticks(self.rate, self.control).steps(self.ticks)
         if self.law is None:
             edges = start + np.arange(-self.before, steps + 1) / self.rate
-            torque = torque_over(self.recording, self.joints, edges, self.control)
+            torque = torque_over(self.recording, self.joints, edges, self.commanded)
             past = self._past(start, torque[: self.before])
-            return engine.rollout(
-                self.model, state, torque[self.before :], self.rate, past, runs=self.windows
+            return runs.rollout(
+                self.model,
+                state,
+                torque[self.before :],
+                self.rate,
+                past,
+                engine=self.engine,
+                runs=self.windows,
             )
         table = references_at(self.model, self.recording, start + np.arange(self.ticks) / self.control)
         past = self._past(start, self._commanded(start, self.law)) if self.before else None
-        return engine.closed_loop(self.model, state, self.law, table, self.rate, past, runs=self.windows)
+        return runs.closed_loop(
+            self.model, state, self.law, table, self.rate, past, engine=self.engine, runs=self.windows
+        )
 
     def _past(self, start: float, torque: np.ndarray) -> Past | None:
         """The motion before a start as measured; before the recording its first state holds."""

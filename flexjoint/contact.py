@@ -70,12 +70,17 @@ class Touch:
 class Ground:
     """The contacts of a model. `slot` is the place in z of the first anchor."""
 
+    springy = True  # a step may be too long for its springs
+
     def __init__(self, contacts: Sequence[GroundContact], model: pin.Model, slot: int) -> None:
         self.contacts = tuple(contacts)
         self.slots = slice(slot, slot + 2 * len(self.contacts))
         self.names = tuple(f"anchor_{axis}.{item.frame}" for item in self.contacts for axis in "xy")
         self._frames = [item.rolls or item.frame for item in self.contacts]
         self._axes = [None if item.rolls is None else joint_axis(model, item.rolls) for item in self.contacts]
+        # for all at once: a sphere as a wheel without an axis
+        self._turning = np.array([np.zeros(3) if axis is None else axis for axis in self._axes])[:, :, None]
+        self._radii = np.array([item.radius for item in self.contacts])
 
     def touch(self, model: FlexibleJointModel, q: Value, v: Value, z: Value, ahead: float = 0.0) -> Touch:
         """The ground's forces at q (nq,) and v (nv,), with the anchors of z (nz,) rolled on for `ahead`
@@ -131,13 +136,28 @@ class Ground:
     def places(self, model: FlexibleJointModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of a numeric model at q (nq,): the contact points (c, 3) [m], and the Jacobians (c, 3, nv) of the
         bodies' velocities there, along world axes."""
-        touch = self.touch(model, q, np.zeros(model.nv), np.zeros(self.slots.stop))
-        points: np.ndarray = np.array(touch.points)
-        out = np.empty((len(points), 3, model.nv))
-        for k, (placement, jacobian) in enumerate(_motions(model, q, self._frames)):
-            arm = points[k] - placement[:3, 3]
-            out[k] = jacobian[:3] + np.cross(jacobian[3:], arm, axis=0)
-        return points, out
+        motions = model.body.frame_motions(q, self._frames)
+        placements = np.array([placement for placement, _ in motions])
+        jacobians = np.array([jacobian for _, jacobian in motions])
+        turned = (placements[:, :3, :3] @ self._turning)[:, :, 0]
+        up = -turned[:, 2:] * turned
+        up[:, 2] += 1.0
+        arm = (-self._radii / np.sqrt(up[:, 2] + TINY))[:, None] * up
+        swing = np.zeros((len(motions), 3, 3))  # swing w = w x arm
+        for row, column, entry in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            swing[:, row, column] = arm[:, entry]
+            swing[:, column, row] = -arm[:, entry]
+        return placements[:, :3, 3] + arm, jacobians[:, :3] + swing @ jacobians[:, 3:]
+
+    def sinking(self, forces: np.ndarray) -> np.ndarray:
+        """(c,) how deep the contacts sink under forces (c, 3) at rest [m]."""
+        return forces[:, 2] / np.array([item.stiffness for item in self.contacts])
+
+    def carrying(self, model: FlexibleJointModel, z: Value, points: np.ndarray, forces: np.ndarray) -> Value:
+        """A copy of z (nz,) with which contacts at rest at points (c, 3) [m] give forces (c, 3) [N]."""
+        along = np.array([item.tangential_stiffness for item in self.contacts])
+        anchors = points[:, :2] + forces[:, :2] / along[:, None]
+        return self.with_anchors(model, z, anchors.ravel().tolist())
 
 
 def joint_axis(model: pin.Model, joint: str) -> np.ndarray | None:

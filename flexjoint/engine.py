@@ -8,14 +8,14 @@ run repeats bit by bit.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from flexjoint import clockwork
 from flexjoint.clockwork import REFERENCES, Ticks, check_references, check_torque
-from flexjoint.compiled import CompiledModel, CompilerError, Job, compiled_for
+from flexjoint.compiled import CompiledModel, CompiledRates, CompilerError, Job, compiled_for
 from flexjoint.compiled.model import row_of
 from flexjoint.control import Law
 from flexjoint.errors import FlexJointError, SimulationError, unknown
@@ -25,6 +25,8 @@ from flexjoint.stability import check_stability
 from flexjoint.trajectory import Past, Trajectory
 
 Engine = Literal["auto", "compiled", "pin"]
+ADAPTIVE = "reference"
+Made = TypeVar("Made", CompiledModel, CompiledRates)
 ENGINES = ("auto", "compiled", "pin")
 LONG = 20_000  # steps from which `auto` compiles: about the pin loop's time for a compilation
 
@@ -50,6 +52,9 @@ def rollout(
     there is no compiler.
     """
     torque = check_torque(model, torque)
+    if scheme == ADAPTIVE:
+        model = adaptive(model, runs * len(torque), engine)
+        return clockwork.rollout(model, start, torque, rate, past, scheme, width)
     compiled = choose(model, runs * len(torque), rate, None, (), scheme, width, engine)
     if compiled is None:
         return clockwork.rollout(model, start, torque, rate, past, scheme, width)
@@ -71,6 +76,9 @@ def closed_loop(
     """`flexjoint.clockwork.closed_loop` by the engine: as `rollout`."""
     ticks = check_references(references, len(model.joints))
     steps = Ticks(rate, model.robot.rates.control).steps(ticks)
+    if scheme == ADAPTIVE:
+        model = adaptive(model, runs * steps, engine)
+        return clockwork.closed_loop(model, start, law, references, rate, past, scheme, width)
     compiled = choose(model, runs * steps, rate, law, REFERENCES, scheme, width, engine)
     if compiled is None:
         return clockwork.closed_loop(model, start, law, references, rate, past, scheme, width)
@@ -89,14 +97,31 @@ def choose(
 ) -> CompiledModel | None:
     """The compiled model that `engine` asks for, or None for the pin loop. Says the choice of `auto` once,
     at info level."""
+    return _chosen(lambda: compiled_for(model, rate, law, references, scheme, width), steps, engine, scheme)
+
+
+def adaptive(model: FlexibleJointModel, steps: int, engine: Engine) -> FlexibleJointModel:
+    """The model as the engine runs it under the scheme `reference`, whose solver stays in Python: with its
+    right-hand side compiled, or as it is."""
+
+    def made() -> CompiledRates:
+        rates = CompiledRates(model)
+        rates.phases  # noqa: B018  compiles them
+        return rates
+
+    return _chosen(made, steps, engine, ADAPTIVE) or model
+
+
+def _chosen(make: Callable[[], Made], steps: int, engine: Engine, scheme: str) -> Made | None:
+    """What `make` makes, or None, as `choose` says."""
     if engine not in ENGINES:
         raise unknown("engine", engine, ENGINES)
     if engine == "compiled":
-        return compiled_for(model, rate, law, references, scheme, width)
+        return make()
     if engine == "pin" or steps < LONG:
         return None
     try:
-        compiled = compiled_for(model, rate, law, references, scheme, width)
+        made = make()
     except SimulationError:
         raise  # the pin loop would refuse it, too
     except CompilerError as error:
@@ -108,8 +133,8 @@ def choose(
         line = " ".join(str(error).split())[:200]
         _say(f"simulating by the pin loop, for {scheme} or the control law takes numbers only: {line}")
     else:
-        _say(f"simulating long runs as C, compiled by {compiled.compiler.name}")
-        return compiled
+        _say(f"simulating long runs as C, compiled by {made.compiler.name}")
+        return made
     return None
 
 

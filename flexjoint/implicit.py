@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from flexjoint import ops
 from flexjoint.errors import ModelError, SimulationError
-from flexjoint.model import FlexibleJointModel, State
+from flexjoint.model import FlexibleJointModel, Rates, State
 from flexjoint.ops import Value
 
 ITERATIONS = 60
@@ -27,10 +28,61 @@ HALVINGS = 12
 NUDGE = 1e-7  # relative step of the difference quotients
 
 
+class Equations:
+    """The equations of one step from x under the torques tau_m (n,), for numbers and CasADi alike.
+
+    Attributes:
+        before, guess: (u,) v, dtheta and z at the start, and what is predicted for the midpoint.
+    """
+
+    def __init__(
+        self, model: FlexibleJointModel, x: State, tau_m: Value, h: float, width: float | None
+    ) -> None:
+        self.model, self.x, self.tau_m, self.h, self.width = model, x, tau_m, h, width
+        self.a = 0.5 * h
+        self.before = ops.join([x.v, x.dtheta, x.z])
+        self.guess = self.before + self.a * ops.join([x.acc, x.ddtheta, model.zeros(model.nz)])
+
+    def missing(self, u: Value) -> Value:
+        """(u,) what u lacks of being the midpoint."""
+        r = self._rates(self._middle(u))
+        return u - self.before - self.a * ops.join([r.acc, r.ddtheta, r.dz])
+
+    def end(self, u: Value) -> State:
+        """The state at the end of the step whose midpoint is u."""
+        model, x, a = self.model, self.x, self.a
+        nv, nf = model.nv, model.nf
+        mid = self._middle(u)
+        tau_rigid = self._rates(mid).tau_t[list(model.rigid)] if model.rigid else x.tau_rigid
+        end = 2.0 * u - self.before
+        return State(
+            x.t + self.h,
+            model.body.integrate(x.q, self.h * mid.v),
+            end[:nv],
+            x.theta + self.h * mid.dtheta,
+            end[nv : nv + nf],
+            end[nv + nf :],
+            (mid.v - x.v) / a,
+            (mid.dtheta - x.dtheta) / a,
+            tau_rigid,
+        )
+
+    def _middle(self, u: Value) -> State:
+        model, x, a = self.model, self.x, self.a
+        nv, nf = model.nv, model.nf
+        v, w, z = u[:nv], u[nv : nv + nf], u[nv + nf :]
+        q = model.body.integrate(x.q, a * v)
+        return replace(x, t=x.t + a, q=q, v=v, theta=x.theta + a * w, dtheta=w, z=z)
+
+    def _rates(self, middle: State) -> Rates:
+        return self.model.rates(middle, self.tau_m, self.width)
+
+
 def implicit_midpoint(
     model: FlexibleJointModel, h: float, width: float | None = None
 ) -> Callable[[State, Value], State]:
-    """Implicit midpoint by Newton's method; many evaluations a step; numbers only.
+    """Implicit midpoint by Newton's method; many evaluations a step; numbers only (compiled, the same
+    iteration runs in C: `flexjoint/compiled/newton.c`).
 
     Dry friction is smoothed over `width` [rad/s], which may be as narrow as wanted. A step that does not
     converge raises SimulationError with its time and the joint that is worst off.
@@ -40,37 +92,11 @@ def implicit_midpoint(
             "implicit_midpoint iterates until it has converged, which expressions cannot; use "
             "linearly_implicit_midpoint"
         )
-    a = 0.5 * h
 
     def step(x: State, tau_m: Value) -> State:
-        nv, nf = model.nv, model.nf
-
-        def middle(u: np.ndarray) -> State:
-            v, w, z = u[:nv], u[nv : nv + nf], u[nv + nf :]
-            q = model.body.integrate(x.q, a * v)
-            return replace(x, t=x.t + a, q=q, v=v, theta=x.theta + a * w, dtheta=w, z=z)
-
-        def missing(u: np.ndarray) -> np.ndarray:
-            r = model.rates(middle(u), tau_m, width)
-            return u - u0 - a * np.concatenate([r.acc, r.ddtheta, r.dz])
-
-        u0 = np.concatenate([x.v, x.dtheta, x.z])
-        guess = u0 + a * np.concatenate([x.acc, x.ddtheta, np.zeros(model.nz)])
-        u = _newton(missing, guess, lambda k: _failed(model, x, h, k))
-        mid = middle(u)
-        tau_rigid = model.rates(mid, tau_m, width).tau_t[list(model.rigid)] if model.rigid else x.tau_rigid
-        end = 2.0 * u - u0
-        return State(
-            x.t + h,
-            model.body.integrate(x.q, h * mid.v),
-            end[:nv],
-            x.theta + h * mid.dtheta,
-            end[nv : nv + nf],
-            end[nv + nf :],
-            (mid.v - x.v) / a,
-            (mid.dtheta - x.dtheta) / a,
-            tau_rigid,
-        )
+        equations = Equations(model, x, tau_m, h, width)
+        u = _newton(equations.missing, equations.guess, lambda k: not_converged(model, x.t, h, k))
+        return equations.end(u)
 
     return step
 
@@ -126,7 +152,8 @@ def _size(change: np.ndarray, u: np.ndarray) -> Any:
     return np.max(np.abs(change) / (1.0 + np.abs(u))) if len(u) else 0.0
 
 
-def _failed(model: FlexibleJointModel, x: State, h: float, worst: int) -> SimulationError:
+def not_converged(model: FlexibleJointModel, t: float, h: float, worst: int) -> SimulationError:
+    """The error of a step of h seconds from t on; worst: the place in u of the largest residual."""
     nv, nf = model.nv, model.nf
     if worst < nv:
         owners = [joint.name for joint in model.joints if joint.idx_v == worst] or [f"v[{worst}]"]
@@ -135,7 +162,7 @@ def _failed(model: FlexibleJointModel, x: State, h: float, worst: int) -> Simula
     else:
         owners = [model.state_names[model.nq + nv + 2 * nf + worst - nv - nf]]
     return SimulationError(
-        f"implicit_midpoint: Newton's method did not converge in the step from t = {x.t:.6g} s (h = {h:g} s),"
+        f"implicit_midpoint: Newton's method did not converge in the step from t = {t:.6g} s (h = {h:g} s),"
         f" worst at joint {owners[0]}; raise the physics rate, widen the smoothing of dry friction, or use"
         " linearly_implicit_midpoint"
     )

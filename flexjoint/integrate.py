@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Literal
 
 from flexjoint import ops
-from flexjoint.contact import Ground
 from flexjoint.errors import SimulationError, unknown
 from flexjoint.friction import SWEEPS, directed, settle
 from flexjoint.implicit import implicit_midpoint
@@ -227,6 +226,15 @@ def make_step(model: FlexibleJointModel, h: float, scheme: str = DEFAULT, width:
 
     Raises UnknownNameError, or SimulationError when a scheme that smooths dry friction gets no width.
     """
+    check_scheme(model, scheme, width)
+    step = SCHEMES[scheme](model, h, width)
+    if model.ground is None or scheme == DEFAULT:  # which lets anchors slip at its midpoint
+        return step
+    return lambda x, tau_m: slipped(model, step(x, tau_m))
+
+
+def check_scheme(model: FlexibleJointModel, scheme: str, width: float | None) -> None:
+    """Whether there is such a scheme, and a width where it wants one; raises as `make_step`."""
     if scheme not in SCHEMES:
         raise unknown("scheme", scheme, SCHEMES)
     rubs = any(flow.motor_rubs or flow.link_rubs for flow in model.flows)
@@ -235,18 +243,15 @@ def make_step(model: FlexibleJointModel, h: float, scheme: str = DEFAULT, width:
             f"{scheme} smooths dry friction as level tanh(velocity / width): give a width > 0 [rad/s], or"
             f" use {DEFAULT}, where it sticks (got width={width})"
         )
-    step = SCHEMES[scheme](model, h, width)
-    if model.ground is None or scheme == DEFAULT:  # which lets anchors slip at its midpoint
-        return step
-    return _slipping(model, model.ground, step)
+    if model.ground is not None and not model.ground.springy and scheme != DEFAULT:
+        raise SimulationError(
+            f"{scheme} takes no rigid ground, whose impulses belong to the step of {DEFAULT}: use that, or"
+            " ground: compliant"
+        )
 
 
-def _slipping(model: FlexibleJointModel, ground: Ground, step: Step) -> Step:
-    """The step, after which the anchors of contacts slip."""
-
-    def stepped(x: State, tau_m: Value) -> State:
-        x = step(x, tau_m)
-        x.z = ground.slipped(model, x.q, x.v, x.z)
-        return x
-
-    return stepped
+def slipped(model: FlexibleJointModel, x: State) -> State:
+    """The state with the anchors of contacts where they slip to."""
+    if model.ground is not None:
+        x.z = model.ground.slipped(model, x.q, x.v, x.z)
+    return x

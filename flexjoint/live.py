@@ -19,30 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint.clockwork import Runner, Ticks, longest_delay
+from flexjoint.clockwork import REFERENCES, Runner, Ticks, longest_delay
 from flexjoint.control import gains_of, law_of, with_gain
+from flexjoint.engine import ADAPTIVE, LONG, Engine, adaptive, choose
 from flexjoint.errors import SimulationError, unknown
 from flexjoint.integrate import DEFAULT
+from flexjoint.live_loops import Cell, CompiledLoop, JointCommand, Loop, PinLoop, Told
 from flexjoint.model import FlexibleJointModel, State
-from flexjoint.springs import VariableSpring
 from flexjoint.stability import check_stability
 from flexjoint.standing import held
 from flexjoint.start import at_rest, initial_positions
 
 KEPT = 4096  # rows of the motion behind the present one; delays need far fewer
-
-
-@dataclass(frozen=True)
-class JointCommand:
-    """What a joint is told: position [rad] (of the link, and of the motor), velocity [rad/s], feed-forward
-    torque [N m], and of a variable spring stiffness [N m/rad] and damping [N m s/rad]."""
-
-    q_ref: float
-    theta_ref: float
-    dtheta_ref: float
-    tau_ff: float
-    stiffness: float
-    damping: float
 
 
 @dataclass(frozen=True)
@@ -58,22 +46,6 @@ class JointState:
     tau_t: float
 
 
-class _Cell:
-    """A commanded stiffness and damping, held until the next tick."""
-
-    def __init__(self, stiffness: float, damping: float) -> None:
-        self.stiffness, self.damping = stiffness, damping
-
-    def take(self, told: JointCommand) -> bool:
-        """Hold what is told from now on; whether it is anything new."""
-        held, new = (self.stiffness, self.damping), (told.stiffness, told.damping)
-        self.stiffness, self.damping = new
-        return held != new
-
-    def spring(self) -> VariableSpring:
-        return VariableSpring(lambda _t: self.stiffness, lambda _t: self.damping)
-
-
 class LiveSimulation:
     """A model under its control law, at rest until it is stepped.
 
@@ -86,6 +58,7 @@ class LiveSimulation:
         rate: physics steps per second, default the robot's `rates.physics`; the controller ticks at
             `rates.control` (see `flexjoint.clockwork.Ticks`).
         scheme, width: see `flexjoint.integrate`.
+        engine: auto, compiled or pin, see `flexjoint.engine`; auto compiles however few the steps will be.
 
     Raises what Runner raises and warns as it does; UnknownNameError for joints, gains and laws.
     """
@@ -98,52 +71,48 @@ class LiveSimulation:
         rate: float | None = None,
         scheme: str = DEFAULT,
         width: float | None = None,
+        engine: Engine = "auto",
     ) -> None:
-        self.model = model
         self.joints: tuple[str, ...] = model.robot.joint_names
-        self._law = law_of(model.robot) if law is None else law
+        self._told = Told(law_of(model.robot) if law is None else law)
         start = at_rest(model, initial_positions(model)) if start is None else replace(start)
-        rate = model.robot.rates.physics if rate is None else rate
-        self._ticks = Ticks(rate, model.robot.rates.control)
-        rows = max(KEPT, math.ceil(longest_delay(model) * rate) + 2)
-        self._runner = Runner(model, start, rate, rows, None, scheme, width)
-        self._cells: dict[str, _Cell] = {}
-        self._commands = {}
+        self._rate = model.robot.rates.physics if rate is None else rate
         for joint, flow in zip(model.joints, model.flows, strict=True):
             stiffness, damping = flow.spring_at(start.t)
-            self._commands[joint.name] = JointCommand(0.0, 0.0, 0.0, 0.0, stiffness, damping)
+            self._told.commands[joint.name] = JointCommand(0.0, 0.0, 0.0, 0.0, stiffness, damping)
+        compiled = None
+        if scheme == ADAPTIVE:
+            model = adaptive(model, LONG, engine)
+        else:
+            law = self._told.law
+            compiled = choose(model, LONG, self._rate, law, REFERENCES, scheme, width, engine)
+        self.model = model
+        ticks = Ticks(self._rate, model.robot.rates.control)
+        self._loop: Loop
+        if compiled is None:
+            rows = max(KEPT, math.ceil(longest_delay(model) * self._rate) + 2)
+            runner = Runner(model, start, self._rate, rows, None, scheme, width)
+            self._loop = PinLoop(self._told, ticks, runner)
+        else:
+            check_stability(model, start, 1.0 / self._rate, scheme)
+            self._loop = CompiledLoop(self._told, ticks, compiled, model, start, width)
         self.aim({joint.name: float(start.q[joint.idx_q]) for joint in model.joints})
 
     # --- run -------------------------------------------------------------------------------------
     @property
     def time(self) -> float:
         """The present time [s]."""
-        return float(self._runner.tape.time[self._runner.row])
+        return self._loop.time
 
     def step(self, steps: int = 1) -> None:
         """Run so many physics steps. Raises SimulationError when numbers are no longer finite."""
-        with self._runner.watched():
-            for _ in range(steps):
-                self._runner.step(self._command)
+        self._loop.step(steps)
 
     def run(self, seconds: float) -> None:
         """Run for that long, to the nearest physics step."""
         if not seconds >= 0.0 or math.isinf(seconds):
             raise SimulationError(f"run: expected seconds >= 0, got {seconds}")
-        self.step(round(seconds * self._runner.rate))
-
-    def _command(self, now: Runner) -> np.ndarray:
-        if not self._ticks.acts(now.done):
-            return now.held
-        changed = [cell.take(self._commands[name]) for name, cell in self._cells.items()]
-        if any(changed):
-            check_stability(now.model, now.x, now.h, now.scheme)
-        told_all = [self._commands[name] for name in self.joints]
-        references = {
-            name: np.array([getattr(told, name) for told in told_all])
-            for name in ("q_ref", "theta_ref", "dtheta_ref", "tau_ff")
-        }
-        return np.asarray(self._law.torque(references, now.readings(self._law)))
+        self.step(round(seconds * self._rate))
 
     # --- command ---------------------------------------------------------------------------------
     def command(
@@ -175,9 +144,9 @@ class LiveSimulation:
         if stiffness is not None or damping is not None:
             if self.model.joints[place].rigid:
                 raise SimulationError(f"joint {joint} is rigid: it has no spring to command")
-            if joint not in self._cells:
+            if joint not in self._told.cells:
                 self._make_variable(joint)
-        self._commands[joint] = replace(self._commands[joint], **values)
+        self._told.commands[joint] = replace(self._told.commands[joint], **values)
 
     def aim(self, positions: Mapping[str, float]) -> None:
         """Tell links to go to positions [rad] as equation 4 does: theta_ref = q_ref + g(q_ref)/K and
@@ -185,50 +154,51 @@ class LiveSimulation:
         g - J_c' lambda stands for g; raises ModelError for a pose that they cannot carry."""
         for name in positions:
             self._place(name)
-        told = {name: positions.get(name, self._commands[name].q_ref) for name in self.joints}
-        q = self._runner.x.q.copy()
+        told = {name: positions.get(name, self._told.commands[name].q_ref) for name in self.joints}
+        q = self._loop.x.q.copy()
         for joint in self.model.joints:
             q[joint.idx_q] = told[joint.name]
-        theta, tau = held(self._runner.model, q)
+        theta, tau = held(self._loop.model, q)
         for i, name in enumerate(self.joints):
-            self._commands[name] = replace(
-                self._commands[name],
+            self._told.commands[name] = replace(
+                self._told.commands[name],
                 q_ref=told[name],
                 theta_ref=float(theta[i]),
                 tau_ff=float(tau[i]),
-                dtheta_ref=0.0 if name in positions else self._commands[name].dtheta_ref,
+                dtheta_ref=0.0 if name in positions else self._told.commands[name].dtheta_ref,
             )
 
     def commanded(self, joint: str) -> JointCommand:
         """What a joint is told."""
         self._place(joint)
-        return self._commands[joint]
+        return self._told.commands[joint]
 
     def _make_variable(self, joint: str) -> None:
-        told = self._commands[joint]
-        self._cells[joint] = _Cell(told.stiffness, told.damping)
-        springs = {**self.model.springs, **{name: cell.spring() for name, cell in self._cells.items()}}
+        told = self._told.commands[joint]
+        self._told.cells[joint] = Cell(told.stiffness, told.damping)
+        springs = {**self.model.springs, **{name: cell.spring() for name, cell in self._told.cells.items()}}
         robot, effects = self.model.robot, self.model.effects
         self.model = FlexibleJointModel(robot, effects, springs=springs)
-        self._runner.take(self.model)
+        self._loop.take(self.model)
 
     # --- gains -----------------------------------------------------------------------------------
     def gains(self, joint: str) -> dict[str, float]:
         """The gains of a joint's law by name, its torque limit among them."""
-        return gains_of(self._law, self._place(joint))
+        return gains_of(self._told.law, self._place(joint))
 
     def set_gain(self, joint: str, name: str, value: float) -> None:
         """Change a gain from the next tick on. Raises UnknownNameError, or RobotError for a bad value."""
-        self._law = with_gain(self._law, self._place(joint), name, value)
+        self._told.law = with_gain(self._told.law, self._place(joint), name, value)
+        self._loop.take_law()
 
     # --- state -----------------------------------------------------------------------------------
     def state(self, joint: str) -> JointState:
         """The true state of a joint now; tau_m is the torque commanded last (0 before the first step)."""
         i = self._place(joint)
-        run, model = self._runner, self._runner.model
-        tau_m = float(run.held[i]) if run.done else 0.0
-        s = model.signals(run.x, i, tau_m)
-        tau_t = run.x.tau_rigid[model.rigid.index(i)] if model.joints[i].rigid else s.tau_t
+        model, x = self._loop.model, self._loop.x
+        tau_m = float(self._loop.held[i]) if self._loop.done else 0.0
+        s = model.signals(x, i, tau_m)
+        tau_t = x.tau_rigid[model.rigid.index(i)] if model.joints[i].rigid else s.tau_t
         return JointState(float(s.theta), float(s.dtheta), tau_m, float(s.q), float(s.dq), float(tau_t))
 
     def states(self) -> dict[str, JointState]:
@@ -238,7 +208,7 @@ class LiveSimulation:
     @property
     def full_state(self) -> State:
         """A copy of the whole state, floating base and internal states of effects included."""
-        x = self._runner.x
+        x = self._loop.x
         names = ("q", "v", "theta", "dtheta", "z", "acc", "ddtheta", "tau_rigid")
         return State(x.t, *(np.array(getattr(x, name)) for name in names))
 

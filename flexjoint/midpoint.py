@@ -8,8 +8,9 @@ are linear in the motor's midpoint velocity: w = c0 + c1 v_mid. That leaves the 
 r + k_d c0 - kappa v and, as v_mid = v + a acc, an armature a kappa, with kappa = k_d (1 - c1): one
 articulated-body call solves the whole step. r = K phi for a linear spring; others are linearised. Forces
 that depend on anything else are evaluated at the predicted midpoint (q + a v, v + a acc of the last step,
-...), whose error is O(h^2), so order 2 holds; what resists a velocity is linearised in it. Contact
-forces (`flexjoint.contact`) are such forces; anchors slip at the predicted midpoint.
+...), whose error is O(h^2), so order 2 holds; what resists a velocity is linearised in it. Compliant
+contacts (`flexjoint.contact`) give such forces; anchors slip at the predicted midpoint. Rigid ones
+(`flexjoint.rigid_contact`) are impulses on the links' midpoint and end velocities, with that armature.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from flexjoint.flow import JointFlow
 from flexjoint.friction import SWEEPS, TINY, directed, settle
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.ops import Value
+from flexjoint.rigid_contact import Held, RigidContacts, RigidGround
 
 
 class Midpoint:
@@ -59,6 +61,9 @@ class Midpoint:
             if flow.link_rubs or (flow.joint.rigid and flow.motor_rubs)
         ]
         self.sweeps = 1 if len(self.rubbing) == 1 else SWEEPS
+        self.rigid_contacts = (
+            RigidContacts(model, model.ground, h) if isinstance(model.ground, RigidGround) else None
+        )
 
     def step(self, x: State, tau_m: Value) -> State:
         model, a = self.model, self.a
@@ -80,13 +85,17 @@ class Midpoint:
                 if k >= 0:
                     c0[k], c1[k] = line.c0, line.c1
         touch = None
-        if model.ground is not None:
+        held = None
+        if model.ground is not None and self.rigid_contacts is None:
             touch = model.ground.touch(model, q_mid, v_mid, x.z, a)
             tau = tau + touch.tau
         acc = model.body.aba(q_mid, v_mid, tau, armature)
+        if self.rigid_contacts is not None:
+            held = self.rigid_contacts.hold(q_mid, x.v, x.z, acc, armature)
+            acc = held.acc
         if self.rubbing:
             acc = self._rub(x, q_mid, v_mid, tau, armature, acc, lines)
-        return self._finish(x, acc, c0, c1, lines, touch)
+        return self._finish(x, acc, c0, c1, lines, touch, held)
 
     def _rub(
         self,
@@ -124,7 +133,14 @@ class Midpoint:
         return acc
 
     def _finish(
-        self, x: State, acc: Value, c0: Value, c1: Value, lines: dict[int, Line], touch: Touch | None
+        self,
+        x: State,
+        acc: Value,
+        c0: Value,
+        c1: Value,
+        lines: dict[int, Line],
+        touch: Touch | None,
+        held: Held | None,
     ) -> State:
         model, h, a = self.model, self.h, self.a
         v_mid = x.v + a * acc
@@ -151,6 +167,10 @@ class Midpoint:
             rolled = [s + a * rate for s, rate in zip(touch.anchors, touch.rates, strict=True)]
             z = model.ground.with_anchors(model, z, rolled)
         q, theta = model.body.integrate(x.q, h * v_mid), x.theta + h * w_mid
+        if held is not None and self.rigid_contacts is not None and model.ground is not None:
+            v, forces = self.rigid_contacts.arrive(held, q, v)
+            acc = (v - v_mid) / a  # of the second half: an impact is over then
+            z = model.ground.with_anchors(model, z, forces.ravel().tolist())
         return State(x.t + h, q, v, theta, w, z, acc, ddtheta, tau_rigid)
 
     def _advance(self, x: State, v_mid: Value, w_mid: Value) -> Value:

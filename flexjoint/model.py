@@ -26,6 +26,7 @@ from flexjoint.effect import Planned, Signals
 from flexjoint.errors import ModelError, unknown
 from flexjoint.flow import JointFlow, Part
 from flexjoint.ops import Value
+from flexjoint.rigid_contact import RigidGround
 from flexjoint.robot import Robot
 from flexjoint.springs import VariableSpring
 
@@ -107,8 +108,8 @@ class FlexibleJointModel:
         )
         self.body = self._edited_body(awake)
         self.nq, self.nv = self.body.nq, self.body.nv
-        self.ground = Ground(robot.contacts, robot.model, len(self._slots)) if robot.contacts else None
-        self.nz = len(self._slots) + 2 * len(robot.contacts)
+        self.ground = self._ground()
+        self.nz = len(self._slots) if self.ground is None else self.ground.slots.stop
         self.flexible = tuple(i for i, joint in enumerate(self.joints) if not joint.rigid)
         self.rigid = tuple(i for i, joint in enumerate(self.joints) if joint.rigid)
         self.nf = len(self.flexible)
@@ -153,6 +154,19 @@ class FlexibleJointModel:
             for k in range(10):
                 inertial[row, k] = values[k]
         return self._body_kind(self.robot.model, inertial, None if gravity is None else self.vector(gravity))
+
+    def _ground(self) -> Ground | None:
+        kinds = {"compliant": Ground, "rigid": RigidGround}
+        if self.robot.ground not in kinds:
+            raise unknown("ground", self.robot.ground, kinds)
+        if not self.robot.contacts:
+            return None
+        if self.robot.ground == "rigid" and self.symbolic:
+            raise ModelError(
+                "rigid ground is solved in numbers, step by step: there is neither a symbolic nor a compiled"
+                " model of it; take engine='pin', or ground: compliant"
+            )
+        return kinds[self.robot.ground](self.robot.contacts, self.robot.model, len(self._slots))
 
     # --- effects in time -------------------------------------------------------------------------
     @cached_property

@@ -100,6 +100,11 @@ def stack(entries: Sequence[Value]) -> Value:
     return ca.vertcat(*entries) if is_symbolic(*entries) else np.array(entries)
 
 
+def join(vectors: Sequence[Value]) -> Value:
+    """Vectors one after the other."""
+    return ca.vertcat(*vectors) if is_symbolic(*vectors) else np.concatenate(vectors)
+
+
 def copy(vector: Value) -> Value:
     """A vector that may be written on."""
     return vector.copy() if isinstance(vector, np.ndarray) else type(vector)(vector)

@@ -1,13 +1,13 @@
 """Section 5.2 of Kashiri et al. 2017: CENTAURO goes from its initial pose to a spider's and a mammal's.
 
 The paper gives no reference trajectories. Here the feet stay on the ground and roll: the wheels turn into the
-direction in which their foot will move, the legs move while the wheels roll with them, the wheels turn across
-for a while, which relaxes the sideways forces between the feet, and turn back. Joint positions are quintic
+direction in which their foot will move, the legs move while the wheels roll with them, and the wheels sway
+about the pose's heading, ever less, which relaxes the forces between the feet. Joint positions are quintic
 blends between the poses of the robot file, so velocities and accelerations begin and end at 0, the shanks
 stay vertical, and the base goes up or down and nowhere else. Wheels roll freely, their motors' damping fed
-forward. The motor PD brakes them in the initial pose, and in the mammal pose unless g - J_c' lambda is fed
-forward: with free wheels the robot would tip over slowly there. All other joints have the motor PD of the
-robot file.
+forward. The motor PD brakes them in the initial pose, and in the mammal pose after the swaying unless
+g - J_c' lambda is fed forward: on free wheels the robot tips over there. All other joints have the motor PD
+of the robot file.
 """
 
 from __future__ import annotations
@@ -33,9 +33,7 @@ from flexjoint.trajectory import Trajectory
 
 POSES = ("initial", "spider", "mammal")
 PHYSICS, CONTROL = 2000, 1000  # Hz, f_s and f_c of the section
-WAIT, STEER, MOVE, DWELL, HOLD = 1.0, 1.5, 4.0, 4.0, 9.0  # [s]
-LEG = STEER + MOVE + STEER + DWELL + STEER + HOLD  # [s] from one pose to the next, its hold included
-SECONDS = WAIT + 2 * LEG
+WAIT, STEER, MOVE, HOLD = 1.0, 1.5, 4.0, 9.0  # [s]
 KNOT = 0.05  # [s] between the poses whose loads are computed; between them by cubic splines
 NUDGE = 1e-4  # of the way between two poses, for the direction in which a foot goes
 Gravity = Literal["none", "gravity", "contact"]
@@ -47,6 +45,22 @@ SHOWN: Mapping[str, str] = {  # Fig. 8 and 9; the shoulder is its pitch
     "hip yaw": "hip_yaw_1",
     "hip pitch": "hip_pitch_1",
 }
+
+
+@dataclass(frozen=True)
+class Sway:
+    """How the wheels sway in a pose: for so many seconds, so many times to and fro, by an angle [rad] of
+    which (1 - s)^2 is left after a share s of the time."""
+
+    seconds: float
+    swings: float
+    angle: float
+
+
+# in the mammal pose not for long: on free wheels the robot tips over some eight seconds after its move
+SWAYS: Mapping[str, Sway] = {"spider": Sway(15.0, 5.0, 1.2), "mammal": Sway(3.0, 3.0, 0.6)}
+LEG = STEER + MOVE + max(sway.seconds for sway in SWAYS.values()) + HOLD  # [s] from one pose to the next
+SECONDS = WAIT + 2 * LEG
 
 
 @dataclass(frozen=True)
@@ -118,10 +132,11 @@ def plan() -> Plan:
     for k, (one, other) in enumerate(pairwise(POSES)):
         begin = WAIT + k * LEG
         move = begin + STEER
-        across, back = move + MOVE, move + MOVE + STEER + DWELL
+        there = move + MOVE
         q0, q1 = robot.configuration(one), robot.configuration(other)
         way = quintic(time, move, MOVE)
-        into, over, home = (quintic(time, at, STEER) for at in (begin, across, back))
+        into, home = quintic(time, begin, STEER), quintic(time, there, STEER)
+        swing = _swing(SWAYS[other], time - there)
         q += way[:, None] * (q1 - q0)[places]
         shares = np.linspace(0.0, 1.0, 81)
         angle, speed = _steering(model, q0, q1, shares)
@@ -129,13 +144,20 @@ def plan() -> Plan:
             yaw = robot.joint_names.index(f"ankle_yaw_{item.frame[-1]}")
             wheel = robot.joint_names.index(str(item.rolls))
             last = angle[-1, foot]
-            side = 0.5 * np.pi * np.sign(last)
-            q[:, yaw] += into * CubicSpline(shares, angle[:, foot])(way) + over * (side - last) - home * side
+            steered = into * CubicSpline(shares, angle[:, foot])(way)
+            q[:, yaw] += steered - home * last + np.sign(last) * swing
             q[:, wheel] += CubicSpline(shares, speed[:, foot]).antiderivative()(way) / item.radius
     dq = np.asarray(CubicSpline(time, q).derivative()(time))
     gravity, load = _loads(model, CubicSpline(time, q)(knots))
     damping = np.array([joint.drive.D_m for joint in model.joints]) * wheels(model)
     return Plan(time, q, dq, CubicSpline(knots, gravity)(time), CubicSpline(knots, load)(time), damping * dq)
+
+
+def _swing(sway: Sway, t: np.ndarray) -> np.ndarray:
+    """The angle (T,) [rad] at times t (T,) from the swaying's start [s]."""
+    share = np.clip(t / sway.seconds, 0.0, 1.0)
+    size = quintic(t, 0.0, 1.0) * (1.0 - share) ** 2
+    return np.asarray(sway.angle * size * np.sin(2.0 * np.pi * sway.swings * share))
 
 
 def _steering(
@@ -206,18 +228,31 @@ def quickest() -> engine.Engine:
 @cache
 def run(gravity: str, motor: str, which: engine.Engine) -> Run:
     """One variant, from rest in the initial pose. Raises UnknownNameError."""
-    told = references(gravity, motor)
     model = robot_model()
+    tape = simulated(model, gravity, motor, which)
+    told = references(gravity, motor)
+    holds = tuple(_hold(model, law_of(model.robot), tape, told, k) for k in (1, 2))
+    return Run(gravity, motor, tape, holds)
+
+
+def simulated(
+    model: FlexibleJointModel, gravity: str, motor: str, which: engine.Engine, seconds: float = SECONDS
+) -> Trajectory:
+    """The first seconds of a variant, by a model with the joints and poses of `robot_model`, whose
+    references it follows; from rest in its initial pose. Raises UnknownNameError."""
+    told = references(gravity, motor)
     held: Any = law_of(model.robot)
     rolls = wheels(model)
     free = replace(held, kp=np.where(rolls, 0.0, held.kp), kd=np.where(rolls, 0.0, held.kd))
     state = standing(model, model.robot.configuration(POSES[0])).state
-    brake = WAIT + 2 * LEG - HOLD
+    brake = WAIT + LEG + STEER + MOVE + SWAYS["mammal"].seconds
     parts: list[Trajectory] = []
     begin = 0
     at_last = free if gravity == "contact" else held
-    for law, seconds in ((held, WAIT), (free, brake), (at_last, WAIT + 2 * LEG)):
-        end = round(seconds * CONTROL)
+    for law, until in ((held, WAIT), (free, brake), (at_last, WAIT + 2 * LEG)):
+        end = round(min(until, seconds) * CONTROL)
+        if end == begin:
+            break
         rows = {name: values[begin:end] for name, values in told.items()}
         if law is held:
             places = [model.joints[i].idx_q for i in np.flatnonzero(rolls)]
@@ -226,9 +261,7 @@ def run(gravity: str, motor: str, which: engine.Engine) -> Run:
         parts.append(engine.closed_loop(model, state, law, rows, PHYSICS, engine=which))
         state = parts[-1].state(len(parts[-1].time) - 1)
         begin = end
-    tape = _joined(parts)
-    holds = tuple(_hold(model, held, tape, told, k) for k in (1, 2))
-    return Run(gravity, motor, tape, holds)
+    return _joined(parts)
 
 
 def _joined(parts: list[Trajectory]) -> Trajectory:

@@ -67,6 +67,7 @@ class Robot:
     preset: str | None = None
     contacts: tuple[GroundContact, ...] = ()  # with the ground, of a floating base
     own_inertial: np.ndarray | None = None  # (bodies, 10) without a known payload, which has no tolerance
+    ground: str = "compliant"  # or rigid: what their contact is
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -213,6 +214,7 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
         choice.spawned,
         choice.disabled,
         contacts=_contacts(model, file, (whole_frames, known), where),
+        ground=file.ground,
     )
 
 

@@ -101,6 +101,7 @@ class RobotFile(Strict):
     sections: dict[str, Section] = Field(default_factory=dict)
     spawn: tuple[str, ...] | None = None  # sections that are there; None: all
     contacts: tuple[ContactEntry, ...] = ()  # of a floating base with the ground at height 0
+    ground: Literal["compliant", "rigid"] = "compliant"
     initial: dict[str, float] = Field(default_factory=dict)
     poses: dict[str, dict[str, float]] = Field(default_factory=dict)
     continuous: tuple[str, ...] = ()

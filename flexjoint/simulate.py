@@ -16,6 +16,7 @@ from flexjoint.errors import RecordingError, SimulationError
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.recording import Recording, make
+from flexjoint.robot import Robot
 from flexjoint.start import at_rest, initial_positions
 
 REFERENCES = ("q_ref", "theta_ref", "dtheta_ref", "tau_ff")
@@ -63,7 +64,7 @@ def simulate(
         RecordingError: the reference lacks what the drive needs.
         SimulationError: see `flexjoint.clockwork`, or a sample rate that does not divide the physics rate.
     """
-    rate = physics_rate(model.robot)
+    rate = model.robot.rates.physics
     stride = _stride(rate, sample_rate)
     names = model.robot.joint_names
     controller = drive == "controller" or (drive == "auto" and _has_references(reference, names))
@@ -75,7 +76,7 @@ def simulate(
     else:
         steps = round(reference.duration * rate) + 1
         edges = reference.time[0] + np.arange(steps + 1) / rate
-        torque = torque_over(reference, names, edges, model.robot.rates.control)
+        torque = torque_over(reference, names, edges, command_rate(reference, model.robot))
         tape = rollout(model, start, torque, rate, None, scheme, width, engine)
     return _result(model, reference, tape, controller, stride, noise or {}, seed)
 
@@ -90,14 +91,24 @@ def torque_channel(recording: Recording, joints: tuple[str, ...]) -> str | None:
     return None
 
 
-def torque_over(
-    recording: Recording, joints: tuple[str, ...], edges: np.ndarray, control_rate: float
-) -> np.ndarray:
+def command_rate(recording: Recording, robot: Robot) -> float:
+    """How often a recorded tau_m may change [Hz]: at ticks, f_c. Where f_s is no multiple of f_c, commands
+    begin on steps of the physics, between ticks: then f_s, if the recording has a sample for each step."""
+    physics, control = robot.rates.physics, robot.rates.control
+    if physics_rate(robot) == physics:
+        return control
+    place = (recording.time - recording.time[0]) * physics
+    each = len(place) > 1 and np.max(np.abs(np.diff(place) - 1.0)) < ON_TICK
+    return physics if each and np.max(np.abs(place - np.round(place))) < ON_TICK else control
+
+
+def torque_over(recording: Recording, joints: tuple[str, ...], edges: np.ndarray, rate: float) -> np.ndarray:
     """(N, n) mean motor torque [N m] between the edges (N + 1,) [s], on the recording's clock.
 
-    tau_m is a command, held for 1/f_c from each tick: ticks that the recording missed are interpolated
-    linearly at their times. Samples off the tick grid show a command that is half a tick old on average.
-    tau_motor is a measurement: interpolated linearly, not held. Raises RecordingError when neither is there.
+    tau_m is a command, held for 1/rate from each tick of `command_rate` [Hz]: ticks that the recording missed
+    are interpolated linearly at their times. Samples off the tick grid show a command that is half a tick
+    old on average. tau_motor is a measurement: interpolated linearly, not held. Raises RecordingError when
+    neither is there.
     """
     channel = torque_channel(recording, joints)
     if channel is None:
@@ -109,22 +120,22 @@ def torque_over(
     time = recording.time
     out = np.empty((len(edges) - 1, len(joints)))
     if channel == "tau_m":
-        place = (time - time[0]) * control_rate
+        place = (time - time[0]) * rate
         on_tick = np.max(np.abs(place - np.round(place))) < ON_TICK
         first, last = (
-            np.floor((edges[0] - time[0]) * control_rate) - 1,
-            (edges[-1] - time[0]) * control_rate + 1,
+            np.floor((edges[0] - time[0]) * rate) - 1,
+            (edges[-1] - time[0]) * rate + 1,
         )
-        ticks = time[0] + np.arange(first, np.ceil(last) + 1) / control_rate
+        ticks = time[0] + np.arange(first, np.ceil(last) + 1) / rate
     for k, joint in enumerate(joints):
         known = np.isfinite(recording.get(channel, joint))
         values = recording.get(channel, joint)[known]
         if channel == "tau_motor":
             out[:, k] = np.interp(0.5 * (edges[:-1] + edges[1:]), time[known], values)
             continue
-        shown = time[known] if on_tick else time[known] - 0.5 / control_rate
+        shown = time[known] if on_tick else time[known] - 0.5 / rate
         held = np.interp(ticks, shown, values)
-        impulse = np.concatenate([[0.0], np.cumsum(held[:-1]) / control_rate])
+        impulse = np.concatenate([[0.0], np.cumsum(held[:-1]) / rate])
         out[:, k] = np.diff(np.interp(edges, ticks, impulse)) / np.diff(edges)
     return out
 

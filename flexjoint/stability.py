@@ -97,7 +97,7 @@ def _check_contacts(model: FlexibleJointModel, x: State, h: float, scheme: str) 
     """Warn (StabilityWarning) when a contact is too stiff or too damped for the mass that it moves: beyond
     k = 4 m/h^2, and c = 2 m/h, or m/h where the damper sees a predicted velocity, steps alternate and grow.
     """
-    if model.ground is None or scheme not in CONTACT_DAMPING:
+    if not (model.ground is not None and model.ground.springy and scheme in CONTACT_DAMPING):
         return
     mass = model.body.mass_matrix(x.q)
     for i in model.rigid:

@@ -38,11 +38,10 @@ def standing(model: FlexibleJointModel, q: np.ndarray) -> Standing:
     if model.ground is None or model.symbolic:
         raise ModelError("standing needs a numeric model of a floating robot with contacts in its file")
     q = np.array(q, dtype=float)
-    stiffness = np.array([item.stiffness for item in model.ground.contacts])
     for _ in range(ROUNDS):
         points, jacobian = model.ground.places(model, q)
         forces = _forces(model, q, jacobian)
-        missing = -forces[:, 2] / stiffness - points[:, 2]
+        missing = -model.ground.sinking(forces) - points[:, 2]
         move = np.zeros(model.nv)
         move[:6] = np.linalg.lstsq(jacobian[:, 2, :6], missing, rcond=1e-9)[0]
         q = model.body.integrate(q, move)
@@ -57,9 +56,7 @@ def standing(model: FlexibleJointModel, q: np.ndarray) -> Standing:
         flow = model.flows[i]
         link = q[flow.joint.idx_q : flow.joint.idx_q + 1]
         state.theta[k] = link[0] + deflection(flow, link, tau[i : i + 1])[0]
-    along = np.array([item.tangential_stiffness for item in model.ground.contacts])
-    anchors = points[:, :2] + forces[:, :2] / along[:, None]
-    state.z = model.ground.with_anchors(model, state.z, anchors.ravel().tolist())
+    state.z = model.ground.carrying(model, state.z, points, forces)
     return Standing(state, tau, forces)
 
 

@@ -65,6 +65,8 @@ class SymbolicModel:
             motor_damping; the first two not of rigid joints), "inertial" (body.joint.m, mx .. Izz of every
             moving body, in Pinocchio's order; costs the constants that a step could fold).
         at, springs: see FlexibleJointModel.
+        commanded: joints whose spring's stiffness and damping are parameters spring.joint.stiffness and
+            spring.joint.damping, whatever effects make of the drive's.
 
     Raises what FlexibleJointModel and SymbolicBody raise, and UnknownNameError for `free`.
     """
@@ -76,12 +78,16 @@ class SymbolicModel:
         free: Collection[str] = (),
         at: float = math.inf,
         springs: Mapping[str, VariableSpring] | None = None,
+        commanded: Collection[str] = (),
     ) -> None:
         for name in free:
             if name not in FREE:
                 raise unknown("free parameters", name, FREE)
         planned = tuple(robot.effects if effects is None else effects)
         table = parameter_table(robot.joints, planned, robot.model, free)
+        for name in commanded:
+            drive = robot.joint(name).drive
+            table |= {f"spring.{name}.stiffness": drive.K, f"spring.{name}.damping": drive.D}
         self.parameters: tuple[str, ...] = tuple(table)
         self.values: np.ndarray = np.array(list(table.values()))
         symbols = {name: ca.SX.sym(name) for name in table}
@@ -93,7 +99,7 @@ class SymbolicModel:
             [_freed(item, symbols) for item in planned],
             _body_of(robot.model, symbols) if "inertial" in free else SymbolicBody,
             at,
-            springs,
+            {**(springs or {}), **{name: _held_spring(name, symbols) for name in commanded}},
         )
         self.p = ca.vertcat(ca.SX(0, 1), *symbols.values())
         self.u = ca.SX.sym("u", len(robot.joints))
@@ -174,6 +180,11 @@ def _with_symbols(joint: Joint, symbols: Mapping[str, ca.SX]) -> FreeJoint:
         numbers[name] = symbols.get(f"drive.{joint.name}.{key}", numbers[name])
     own = {field.name: getattr(joint, field.name) for field in fields(joint)}
     return FreeJoint(**{**own, "drive": Drive(**numbers)}, is_rigid=joint.rigid)
+
+
+def _held_spring(name: str, symbols: Mapping[str, ca.SX]) -> VariableSpring:
+    stiffness, damping = symbols[f"spring.{name}.stiffness"], symbols[f"spring.{name}.damping"]
+    return VariableSpring(lambda _t: stiffness, lambda _t: damping)
 
 
 def _freed(planned: Planned, symbols: Mapping[str, ca.SX]) -> Planned:
@@ -271,8 +282,11 @@ class DiscreteModel:
 
     def advanced(self, state: State, u: ca.SX) -> ca.SX:
         """The first `plain` entries of the discrete state a step later, under torques u that act at once."""
-        after = self._advance(state, u)
-        return ca.SX(ca.vertcat(self.symbolic.model.pack(after), after.acc, after.ddtheta, after.tau_rigid))
+        return self.pack(self._advance(state, u))
+
+    def pack(self, state: State) -> ca.SX:
+        """The first `plain` entries of a discrete state, of a state."""
+        return ca.SX(ca.vertcat(self.symbolic.model.pack(state), state.acc, state.ddtheta, state.tau_rigid))
 
     def measure(self) -> ca.Function:
         """measure(x, u, p, t) -> y of the discrete state x, sensor delays included."""

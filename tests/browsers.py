@@ -16,12 +16,23 @@ REQUIRED = "FLEXJOINT_BROWSER_TESTS"
 
 def need_browser() -> None:
     """Skip where no browser is installed, unless the environment says that it is required."""
+    if missing := why_none():
+        pytest.skip(missing)
+
+
+def there() -> bool:
+    """Whether a browser is installed; fails where the environment says that it is required."""
+    return not why_none()
+
+
+def why_none() -> str:
     try:
         find()
     except NoBrowserError as error:
         if os.environ.get(REQUIRED) == "required":
             pytest.fail(f"{REQUIRED}=required, but: {error}")
-        pytest.skip(str(error))
+        return str(error)
+    return ""
 
 
 def pixels(png: bytes) -> np.ndarray:

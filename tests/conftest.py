@@ -1,13 +1,15 @@
-"""Fixtures of the tests of the command line."""
+"""Fixtures of the tests of the command line, and a cache of compiled libraries for tests alone."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import fake_diagnosis
 import pytest
 
 from flexjoint import recording
+from flexjoint.compiled import cache
 from flexjoint.robot import Robot
 
 
@@ -23,3 +25,13 @@ def monday(tmp_path: Path) -> Path:
     path = tmp_path / "monday.csv"
     recording.write(fake_diagnosis.signals(seconds=4.0), path)
     return path
+
+
+@pytest.fixture(scope="module")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """An empty cache, so that a module compiles what it runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FLEXJOINT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        cache.cache_folder.cache_clear()
+        yield
+    cache.cache_folder.cache_clear()

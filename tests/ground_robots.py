@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from arms import waves
 
 from flexjoint import robot_schema
+from flexjoint.clockwork import rollout
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.robot import Robot, build
+from flexjoint.standing import Standing
+from flexjoint.trajectory import Trajectory
 
 HALF = 0.2  # of the box's width and length [m]
 BOX, FLYWHEEL = 7.5, 0.5  # masses [kg]
@@ -85,3 +89,54 @@ def lifted(model: FlexibleJointModel, height: float) -> State:
     q = np.array(model.body.neutral)
     q[2] = height
     return model.rest(q)
+
+
+def energy(model: FlexibleJointModel, tape: Trajectory, row: int) -> float:
+    """Kinetic, of weight and of springs, those of compliant contacts included [J]."""
+    assert model.ground is not None
+    q, v, theta, dtheta = tape.q[row], tape.v[row], tape.theta[row], tape.dtheta[row]
+    links = q[[model.joints[i].idx_q for i in model.flexible]]
+    drives = [model.flows[i].drive for i in model.flexible]
+    mass = model.robot.mass
+    out = 0.5 * v @ model.body.mass_matrix(q) @ v + mass * 9.81 * model.body.center_of_mass(q)[2]
+    out += sum(0.5 * d.K * x**2 for d, x in zip(drives, theta - links, strict=True))
+    out += sum(0.5 * d.B * w**2 for d, w in zip(drives, dtheta, strict=True))
+    out += sum(0.5 * model.joints[i].drive.B * v[model.joints[i].idx_v] ** 2 for i in model.rigid)
+    if not model.ground.springy:
+        return float(out)
+    touch = model.ground.touch(model, q, v, tape.z[row])
+    for k, item in enumerate(model.ground.contacts):
+        stretch = np.array(touch.points[k][:2]) - np.array(touch.anchors[2 * k : 2 * k + 2])
+        out += 0.5 * item.stiffness * min(touch.points[k][2], 0.0) ** 2
+        out += 0.5 * item.tangential_stiffness * stretch @ stretch
+    return float(out)
+
+
+def energy_left(model: FlexibleJointModel, tape: Trajectory, every: int = 5) -> np.ndarray:
+    """Energy less the work of the motors so far, in every n-th row [J]."""
+    speed = tape.v[:, [joint.idx_v for joint in model.joints]].copy()
+    speed[:, list(model.flexible)] = tape.dtheta
+    power = np.sum(tape.tau_m[:-1] * 0.5 * (speed[1:] + speed[:-1]), axis=1)
+    work = np.concatenate([[0.0], np.cumsum(power) * (tape.time[1] - tape.time[0])])
+    rows = range(0, len(tape.time), every)
+    return np.array([energy(model, tape, row) - work[row] for row in rows])
+
+
+def growth(left: np.ndarray) -> float:
+    """How far a quantity ever rises above what it was before."""
+    return float(np.max(left - np.minimum.accumulate(left)))
+
+
+def hold(model: FlexibleJointModel, rest: Standing, ticks: int) -> dict[str, np.ndarray]:
+    """References that hold a robot at rest by g - J_c' lambda, theta_d = q_d + tau/K."""
+    q = rest.state.q[[joint.idx_q for joint in model.joints]]
+    theta = q + rest.tau / np.array([joint.drive.K for joint in model.joints])
+    rows = {"q_ref": q, "theta_ref": theta, "dtheta_ref": 0.0 * q, "tau_ff": rest.tau}
+    return {name: np.tile(row, (ticks, 1)) for name, row in rows.items()}
+
+
+def driven_landing(model: FlexibleJointModel) -> Trajectory:
+    """1.5 s of a cart that falls 1 cm, slides off to the side and is driven, at 1 kHz."""
+    start = lifted(model, 0.21)
+    start.v[:3] = [0.3, 0.4, 0.0]
+    return rollout(model, start, waves(4, 1500, 1000.0, size=3.0), 1000.0)

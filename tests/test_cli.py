@@ -15,7 +15,8 @@ import pytest
 from cli_runs import complaint, run
 
 import flexjoint.diagnose
-from flexjoint import recording, robot
+from flexjoint import cli_robot, engine, recording, robot
+from flexjoint.compiled import shared
 from flexjoint.diagnosis import Diagnosis
 from flexjoint.effect import plan
 from flexjoint.model import FlexibleJointModel
@@ -114,6 +115,31 @@ def test_simulate_writes_a_recording_that_compares_well(
     assert run("compare", out, "--robot", "rrbot", "--json", tmp_path / "errors.json") == 0
     errors = json.loads((tmp_path / "errors.json").read_text())
     assert max(errors["nrmse"].values()) < 0.01  # the same model on both sides; only start states differ
+
+
+def test_the_engine_is_chosen_by_an_option(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at = np.arange(100) / 200
+    told = {("q_ref", joint): 0.3 * np.sin(2 * at) for joint in ("joint1", "joint2")}
+    recording.write(recording.make(at, told), tmp_path / "told.csv")
+    common = ("simulate", "--robot", "rrbot", "--reference", tmp_path / "told.csv", "--out")
+    runs, errors = [], []
+    for name in cli_robot.ENGINES:
+        assert run(*common, tmp_path / f"{name}.csv", "--engine", name) == 0
+        runs.append(recording.read(tmp_path / f"{name}.csv").get("theta", "joint2"))
+        where = tmp_path / f"{name}.json"
+        compared = ("compare", tmp_path / "auto.csv", "--robot", "rrbot", "--horizon", 0.2)
+        assert run(*compared, "--engine", name, "--json", where) == 0
+        errors.append(json.loads(where.read_text())["rms"]["theta.joint2"])
+    np.testing.assert_array_equal(runs[0], runs[2])  # auto leaves short runs to the pin loop
+    np.testing.assert_allclose(runs[1], runs[2], rtol=0, atol=1e-9)
+    assert errors[0] == errors[2] == pytest.approx(errors[1], abs=1e-9)
+    monkeypatch.setattr("flexjoint.compiled.cache.compilers", lambda: ())
+    shared._made.clear()
+    capsys.readouterr()
+    complaint(capsys, *common, tmp_path / "none.csv", "--engine", "compiled")
+    assert cli_robot.ENGINES == engine.ENGINES
 
 
 # --- diagnose ---------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,76 +13,20 @@ import numpy as np
 import pytest
 from arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each, waves
 from example_robots import centauro, ur5
+from loops import FRICTIONS, GAINS, agree, loops_agree, moving, references
 
 from flexjoint import engine, ops
-from flexjoint.clockwork import Past, Trajectory, physics_rate
-from flexjoint.compiled import CompiledModel, CompilerError, cache, compiled_for, compiler, program, shared
+from flexjoint.clockwork import Past, physics_rate
+from flexjoint.compiled import CompiledModel, CompilerError, compiled_for, compiler, program, shared
 from flexjoint.control import LAWS, MotorPD, gain_names, law_of
 from flexjoint.effect import Planned, plan
-from flexjoint.errors import ModelError, SimulationError, UnknownNameError
-from flexjoint.integrate import DEFAULT, NUMBERS_ONLY, SCHEMES
+from flexjoint.errors import SimulationError, UnknownNameError
+from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel
-from flexjoint.robot import Robot, load, shipped_robots
+from flexjoint.robot import load, shipped_robots
 from flexjoint.springs import VariableSpring
 
-# Both evaluate the same expressions in double precision; sines, powers and the order of sums in the
-# articulated-body algorithm differ in the last digit, and a motion of 1 s carries that on.
-ATOL = 1e-9
-FRICTIONS = [
-    plan("link_coulomb_friction", "yaw", {"level": 0.3}),
-    plan("motor_coulomb_friction", "roll", {"level": 0.5}),
-    plan("link_coulomb_friction", "pitch", {"level": 0.2}),
-]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FLEXJOINT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        cache.cache_folder.cache_clear()
-        yield
-    cache.cache_folder.cache_clear()
-
-
-def moving(model: FlexibleJointModel, size: float = 1.0) -> engine.State:
-    start = model.rest()
-    start.v = start.v + size * np.linspace(0.5, -1.0, model.nv)
-    start.dtheta = start.dtheta + size * np.linspace(0.4, -0.9, model.nf)
-    return start
-
-
-def references(robot: Robot, seconds: float = 1.0, size: float = 0.5) -> dict[str, np.ndarray]:
-    n, rate = len(robot.joints), robot.rates.control
-    ticks = round(seconds * rate)
-    table = {name: waves(n, ticks, rate, size) for name in ("q_ref", "theta_ref")}
-    return {**table, "dtheta_ref": waves(n, ticks, rate, size), "tau_ff": waves(n, ticks, rate, 6 * size)}
-
-
-def agree(one: Trajectory, other: Trajectory, atol: float = ATOL) -> None:
-    for name in ("time", "q", "v", "theta", "dtheta", "z", "tau_rigid", "tau_m"):
-        a, b = getattr(one, name), getattr(other, name)
-        scale = max(1.0, float(np.max(np.abs(a), initial=0.0)))  # torques of 100 N m have coarser digits
-        np.testing.assert_allclose(b, a, rtol=0, atol=atol * scale, err_msg=name)
-    assert np.max(np.abs(one.q[-1] - one.q[0])) > 1e-3  # it moved
-
-
-def loops_agree(
-    robot: Robot,
-    effects: list[Planned] | None,
-    rate: float = 1000.0,
-    scheme: str = DEFAULT,
-    width: float | None = None,
-    seconds: float = 1.0,
-) -> None:
-    """A second under the robot's controller, by both."""
-    model = FlexibleJointModel(robot, effects)
-    pin_loop, compiled = (
-        engine.closed_loop(
-            model, moving(model), law_of(robot), references(robot, seconds), rate, None, scheme, width, kind
-        )
-        for kind in ("pin", "compiled")
-    )
-    agree(pin_loop, compiled)
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 # ------------------------------------------------------------------ agreement
@@ -91,29 +35,10 @@ def test_every_effect_agrees_over_a_second(planned: Planned) -> None:
     loops_agree(make(PENDULUM), [planned])
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_every_scheme_agrees_over_a_second(scheme: str) -> None:
-    """With a rigid joint, rubbing links and a motor that sticks; a floating base; several steps per tick."""
-    robot = make(
-        SPATIAL,
-        {"yaw": {"stiffness": math.inf}},
-        base="floating",
-        rates={"physics": 2000, "control": 500},
-    )
-    if scheme in NUMBERS_ONLY:
-        with pytest.raises(ModelError, match=scheme):
-            loops_agree(robot, FRICTIONS, 2000.0, scheme, 0.05, 2e-3)
-    else:
-        loops_agree(robot, FRICTIONS, 2000.0, scheme, 0.05)
-
-
 @pytest.mark.parametrize("name", [*shipped_robots(), "ur5", "centauro"])
 def test_every_robot_agrees_over_a_second(name: str) -> None:
     robot = {"ur5": ur5, "centauro": centauro}[name]() if name in ("ur5", "centauro") else load(name)
     loops_agree(robot, None, physics_rate(robot))
-
-
-GAINS = {"kp_link": 5.0, "kd_link": 0.3, "k_torque": 0.5, "kd_spring": 0.2}
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -121,7 +46,7 @@ def test_every_law_agrees(name: str) -> None:
     """Beside a motor PD on the other joint, with readings of tau_t that come late, through a gap."""
     own = {gain: value for gain, value in GAINS.items() if gain in gain_names(LAWS[name])}
     robot = make(PLANAR, {"knee": {"controller": {"name": name, **own}}}, sensing_delay=0.0023)
-    loops_agree(robot, [plan("backlash", "knee", {"gap": 0.01})], seconds=0.5)
+    loops_agree(robot, [plan("backlash", "knee", {"gap": 0.01})])
 
 
 @pytest.mark.parametrize(("physics", "control"), [(1000.0, 300.0), (500.0, 1200.0)])
@@ -182,7 +107,7 @@ def test_a_run_repeats_bit_by_bit_and_other_numbers_need_no_compiler(monkeypatch
         raise CompilerError("a compiler ran")
 
     monkeypatch.setattr(compiler.Compiler, "compile", refuse)
-    shared._models.clear()
+    shared._made.clear()
     joints = tuple(replace(j, drive=j.drive.scaled(K=0.8, B=1.3), kp=500.0) for j in model.robot.joints)
     robot = replace(model.robot, joints=joints)
     other = FlexibleJointModel(robot, [plan("payload", "knee", {"mass": 1.5, "position": (0.1, 0, 0.05)})])
@@ -256,14 +181,14 @@ def test_without_a_compiler_the_pin_loop_runs_and_says_so_once(
 ) -> None:
     monkeypatch.setattr(engine, "LONG", 50)
     monkeypatch.setattr(engine, "_said", set())
-    shared._models.clear()
+    shared._made.clear()
     model = FlexibleJointModel(make(PENDULUM), [])
     torque = waves(1, 100, 1000.0)
     with caplog.at_level(logging.INFO, "flexjoint"):
         compiled = [engine.rollout(model, moving(model), torque, 1000.0) for _ in range(2)]
         assert [r.message.startswith("simulating long runs as C") for r in caplog.records] == [True]
-        monkeypatch.setattr("flexjoint.compiled.model.compilers", lambda: ())
-        shared._models.clear()
+        monkeypatch.setattr("flexjoint.compiled.cache.compilers", lambda: ())
+        shared._made.clear()
         plain = [engine.rollout(model, moving(model), torque, 1000.0) for _ in range(2)]
     assert [r.levelname for r in caplog.records] == ["INFO", "INFO"]
     assert "pip install 'flexjoint[jit]'" in caplog.records[1].message
@@ -301,12 +226,12 @@ def test_what_takes_numbers_only_runs_by_the_pin_loop(
     table = references(model.robot, 0.1)
     with caplog.at_level(logging.INFO, "flexjoint"):
         chosen = engine.closed_loop(model, moving(model), law, table, 1000.0)
-        iterated = engine.closed_loop(model, moving(model), law, table, 1000.0, None, "implicit_midpoint")
-    assert len(caplog.records) == 2
-    assert all("numbers only" in r.message or "iterates" in r.message for r in caplog.records)
+        adaptive = engine.closed_loop(model, moving(model), law, table, 1000.0, None, "reference")
+    assert "numbers only" in caplog.records[0].message
+    assert "simulating long runs as C" in caplog.records[1].message  # a law in Python, the rates in C
     plain = engine.closed_loop(model, moving(model), law, table, 1000.0, engine="pin")
     np.testing.assert_array_equal(chosen.q, plain.q)
-    np.testing.assert_allclose(iterated.q, plain.q, atol=1e-3)  # two schemes of order 2 at 1 ms
+    np.testing.assert_allclose(adaptive.q, plain.q, atol=1e-3)  # the default's error at 1 ms
 
 
 def test_a_broken_compiler_is_passed_over(tmp_path: Path) -> None:

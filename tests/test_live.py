@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import casadi as ca
@@ -11,13 +12,15 @@ import numpy as np
 import pytest
 from arms import PENDULUM, PLANAR, SPATIAL, make
 
-from flexjoint import ops
-from flexjoint.clockwork import REFERENCES, closed_loop, rollout
+from flexjoint import engine, ops
+from flexjoint.clockwork import REFERENCES, rollout
+from flexjoint.compiled import shared
 from flexjoint.control import law_of
 from flexjoint.effect import plan
+from flexjoint.engine import ENGINES
 from flexjoint.errors import ModelError, RobotError, SimulationError, StabilityWarning, UnknownNameError
 from flexjoint.integrate import DEFAULT, SCHEMES, make_step
-from flexjoint.live import KEPT, LiveSimulation
+from flexjoint.live import KEPT, JointState, LiveSimulation
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.springs import VariableSpring
 from flexjoint.symbolic_body import SymbolicBody
@@ -27,8 +30,12 @@ def planar(**top: Any) -> FlexibleJointModel:
     return FlexibleJointModel(make(PLANAR, **top), [])
 
 
+both_engines = pytest.mark.parametrize("kind", ["pin", "compiled"])
+
+
 # ------------------------------------------------------------------ stepping
-def test_steps_give_what_a_whole_run_gives_bit_for_bit() -> None:
+@both_engines
+def test_steps_give_what_a_whole_run_gives_bit_for_bit(kind: engine.Engine) -> None:
     late = [
         plan("torque_delay", "yaw", {"delay": 3.3e-3}),
         plan("sensor_delay", "roll", {"delay": 2e-3, "channel": "theta"}),
@@ -37,7 +44,7 @@ def test_steps_give_what_a_whole_run_gives_bit_for_bit() -> None:
     robot = make(SPATIAL, rates={"physics": 2000, "control": 1000}, sensing_delay=1e-3)
     model = FlexibleJointModel(robot, late)
     seconds = (KEPT + 900) / 2000  # beyond the rows that a live simulation keeps
-    sim = LiveSimulation(model)
+    sim = LiveSimulation(model, engine=kind)
     told = {name: np.zeros((math.ceil(seconds * 1000), 3)) for name in REFERENCES}
     for name in REFERENCES:  # what it is told at first
         told[name][:] = [getattr(sim.commanded(joint), name) for joint in sim.joints]
@@ -48,7 +55,7 @@ def test_steps_give_what_a_whole_run_gives_bit_for_bit() -> None:
     told["q_ref"][300:, 1] = 0.4
     sim.step(7)
     sim.step(round(seconds * 2000) - 607)
-    tape = closed_loop(model, start, law_of(robot), told, 2000.0)
+    tape = engine.closed_loop(model, start, law_of(robot), told, 2000.0, engine=kind)
     assert sim.time == tape.time[-1]
     x = sim.full_state
     for name in ("q", "v", "theta", "dtheta", "z"):
@@ -77,8 +84,10 @@ def test_aim_reaches_the_static_law() -> None:
         assert state.tau_t == pytest.approx(g[k], abs=1e-3)
 
 
-def test_commands_act_from_the_next_tick_on_and_keep_what_is_not_named() -> None:
-    sim = LiveSimulation(FlexibleJointModel(make(PENDULUM, rates={"physics": 1000, "control": 250}), []))
+@both_engines
+def test_commands_act_from_the_next_tick_on_and_keep_what_is_not_named(kind: engine.Engine) -> None:
+    model = FlexibleJointModel(make(PENDULUM, rates={"physics": 1000, "control": 250}), [])
+    sim = LiveSimulation(model, engine=kind)
     sim.step(2)
     held = sim.state("joint").tau_m
     sim.command("joint", torque=5.0, velocity=0.1)
@@ -91,8 +100,9 @@ def test_commands_act_from_the_next_tick_on_and_keep_what_is_not_named() -> None
     assert (told.tau_ff, told.dtheta_ref, told.q_ref) == (5.0, 0.2, 0.0)
 
 
-def test_gains_are_read_and_set_while_it_runs() -> None:
-    sim = LiveSimulation(planar())
+@both_engines
+def test_gains_are_read_and_set_while_it_runs(kind: engine.Engine) -> None:
+    sim = LiveSimulation(planar(), engine=kind)
     none = {"kp_link": 0.0, "kd_link": 0.0, "k_torque": 0.0}
     assert sim.gains("hip") == {"kp": 2600.0, "kd": 30.0, "limit": 110.0, **none}
     sim.run(0.1)
@@ -131,21 +141,91 @@ def test_what_cannot_be_commanded_is_refused() -> None:
         FlexibleJointModel(sim.model.robot, [], springs={"elbow": VariableSpring(lambda t: 5.0)})
 
 
-def test_it_warns_and_never_returns_what_is_not_finite() -> None:
+@both_engines
+def test_it_warns_and_never_returns_what_is_not_finite(kind: engine.Engine) -> None:
     model = FlexibleJointModel(make(PLANAR, {"knee": {"stiffness": 8e5}}), [])
     with pytest.warns(StabilityWarning, match="joint knee"):
-        sim = LiveSimulation(model, scheme="kashiri2017")
+        sim = LiveSimulation(model, scheme="kashiri2017", engine=kind)
     sim.command("knee", position=0.5)
     with pytest.raises(SimulationError, match="left the finite numbers"):
         sim.run(20.0)
 
 
-def test_a_commanded_stiffness_that_a_scheme_cannot_hold_warns() -> None:
-    sim = LiveSimulation(planar(), scheme="kashiri2017")
+@both_engines
+def test_a_commanded_stiffness_that_a_scheme_cannot_hold_warns(kind: engine.Engine) -> None:
+    sim = LiveSimulation(planar(), scheme="kashiri2017", engine=kind)
     sim.run(0.01)
     sim.command("knee", stiffness=8e5)
     with pytest.warns(StabilityWarning, match="spring of joint knee"):
         sim.step()
+
+
+def told_much(sim: LiveSimulation) -> list[dict[str, JointState]]:
+    """States of a simulation that is told of everything, between ticks too."""
+    seen = []
+    for steps in (3, 50, 1, 120, 6, 220):
+        sim.step(steps)
+        seen.append(sim.states())
+        match len(seen):
+            case 1:
+                sim.aim({"yaw": 0.4, "pitch": -0.3})
+            case 2:
+                sim.set_gain("roll", "k_torque", 0.4)  # another kind of law: it reads tau_t, late
+                sim.set_gain("yaw", "kp", 900.0)
+            case 3:
+                sim.command("roll", stiffness=300.0, velocity=0.1)
+            case 4:
+                sim.command("roll", stiffness=700.0, damping=2.0)
+                sim.command("pitch", stiffness=400.0, torque=0.7)
+            case 5:
+                sim.set_gain("pitch", "limit", 4.0)
+    return seen
+
+
+LATE = [
+    plan("torque_delay", "yaw", {"delay": 3.3e-3}),
+    plan("spring_stiffness", "roll", {"scale": 0.3}),  # a commanded stiffness stands for itself
+    replace(plan("payload", "pitch", {"mass": 0.4}), since=0.03),
+    plan("stribeck_friction", "roll", {}),
+]
+
+
+@pytest.mark.parametrize("scheme", [DEFAULT, "implicit_midpoint", "reference"])
+def test_engines_agree_on_all_that_a_simulation_is_told(scheme: str) -> None:
+    robot = make(SPATIAL, rates={"physics": 1000, "control": 300}, sensing_delay=2.4e-3)
+    runs = []
+    for kind in ENGINES[1:]:
+        sim = LiveSimulation(FlexibleJointModel(robot, LATE), scheme=scheme, width=0.05, engine=kind)
+        runs.append((told_much(sim), sim.time, sim.full_state))
+    (one, time, x), (other, other_time, y) = runs
+    assert time == pytest.approx(other_time, abs=1e-12)
+    for before, after in zip(one, other, strict=True):
+        for joint in before:
+            # as in test_compiled.py, of 0.4 s; torques are some 10 N m
+            assert asdict(after[joint]) == pytest.approx(asdict(before[joint]), abs=1e-8)
+    np.testing.assert_allclose(y.q, x.q, rtol=0, atol=1e-9)
+    assert np.ptp([seen["roll"].q for seen in one]) > 1e-2
+
+
+def test_the_engine_is_chosen_and_said_as_for_whole_runs(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(engine, "_said", set())
+    with caplog.at_level(logging.INFO, "flexjoint"):
+        compiled = LiveSimulation(planar())
+        monkeypatch.setattr("flexjoint.compiled.cache.compilers", lambda: ())
+        shared._made.clear()
+        plain = LiveSimulation(planar())
+    assert [record.message.split(",")[0].split(":")[0] for record in caplog.records] == [
+        "simulating long runs as C",
+        "simulating by the pin loop",
+    ]
+    for sim in (compiled, plain):
+        sim.aim({"hip": 0.3})
+        sim.run(0.2)
+    assert compiled.state("hip").q == pytest.approx(plain.state("hip").q, abs=1e-9)
+    with pytest.raises(UnknownNameError, match="auto, compiled, pin"):
+        LiveSimulation(planar(), engine="c++")  # type: ignore[arg-type]
 
 
 def test_a_floating_base_and_a_free_joint_run_live() -> None:

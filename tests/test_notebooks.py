@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+import html
 import os
 import re
 from pathlib import Path
 
+import browsers
 import nbformat
+import numpy as np
 import pytest
 from nbclient import NotebookClient
 
+from flexjoint.view.browser import opened
+
 ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+WORDS_AWAY = "for (const id of ['head', 'player', 'labels']) document.getElementById(id).style.opacity = 0"
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
 def test_there_are_notebooks() -> None:
-    told = {"effect_of_stiffness", "gain_design", "theta_d_offline", "what_does_my_simulation_get_wrong"}
+    told = {
+        "centauro",
+        "effect_of_stiffness",
+        "gain_design",
+        "theta_d_offline",
+        "what_does_my_simulation_get_wrong",
+    }
     assert {path.stem for path in NOTEBOOKS} == told
 
 
@@ -49,3 +61,24 @@ def test_a_notebook_runs_and_draws(path: Path, tmp_path: Path, monkeypatch: pyte
     pictures = [output for output in outputs if "image/png" in output.get("data", {})]
     assert len(pictures) >= 4
     assert not [output.text for output in outputs if output.get("name") == "stderr"]
+    if path.stem == "centauro":
+        shown = [output["data"]["text/html"] for output in outputs if "text/html" in output.get("data", {})]
+        look(shown)
+
+
+def look(shown: list[str]) -> None:
+    """The views of a notebook, where a browser is there: sections, poses, and the move, which moves."""
+    assert len(shown) == 3
+    assert all(len(view) < 8e6 for view in shown)
+    if not browsers.there():
+        return
+    for view in shown:
+        (page,) = re.findall(r'<iframe srcdoc="(.*?)"', view, re.DOTALL)
+        with opened(html.unescape(page), (480, 320)) as browser:
+            browser.evaluate(WORDS_AWAY)
+            first = browsers.pixels(browser.frame(0))
+            dark = np.count_nonzero(np.max(first, axis=2) < 60)
+            assert dark > 500  # of CENTAURO, which is black; 0 without it, for ground and sky are light
+            if view is shown[-1]:
+                later = browsers.pixels(browser.frame(150))  # after 50 s, in the mammal pose
+                assert np.count_nonzero(browsers.changed(first, later)) > 1500

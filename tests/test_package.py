@@ -92,7 +92,8 @@ def test_the_source_distribution_holds_what_the_tests_need(built: Path) -> None:
     (archive,) = built.glob("*.tar.gz")
     with tarfile.open(archive) as content:
         held = {name.partition("/")[2] for name in content.getnames()}
-    wanted = source_files("flexjoint/**/*", "robots/**/*", "tests/**/*.py", "docs/*.md", "notebooks/*.ipynb")
+    code = source_files("flexjoint/**/*", "robots/**/*", "tests/**/*.py", "examples/**/*", "tests/golden/*")
+    wanted = code | source_files("docs/*.md", "notebooks/*.ipynb")
     assert wanted | {"Makefile", "README.md", "LICENSE", "pyproject.toml"} <= held
 
 

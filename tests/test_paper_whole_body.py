@@ -81,12 +81,27 @@ def test_exact_compensation_leaves_little(motor: str) -> None:
 
 @pytest.mark.parametrize("motor", whole_body.MOTOR)
 @pytest.mark.parametrize("gravity", ["none", "gravity"])
-def test_in_the_spider_pose_the_hip_yaw_converges_and_the_pitch_does_not(gravity: str, motor: str) -> None:
-    """Fig. 9. In the mammal pose the hip pitch carries 6 N m, too little to compare with."""
-    spider = variant(gravity, motor).holds[0]
-    pitch = abs(spider.error[at("hip_pitch_1")])
-    assert pitch > 0.05
-    assert abs(spider.error[at("hip_yaw_1")]) < 0.1 * pitch
+def test_the_hip_yaw_converges_and_the_pitch_does_not(gravity: str, motor: str) -> None:
+    """Fig. 9: below a tenth. Not of the rear legs in the mammal pose, whose hip pitch carries 7 to 9 N m and
+    whose wheels are stuck with 15 N along (docs/whole_body.md)."""
+    spider, mammal = variant(gravity, motor).holds
+    for hold, legs, least in ((spider, "1234", 0.05), (mammal, "12", 0.015)):
+        for leg in legs:
+            pitch = abs(hold.error[at(f"hip_pitch_{leg}")])
+            assert pitch > least
+            assert abs(hold.error[at(f"hip_yaw_{leg}")]) < 0.1 * pitch
+    for leg in "34":
+        assert abs(mammal.error[at(f"hip_yaw_{leg}")]) < 2e-3
+
+
+@every_variant
+def test_the_robot_stands_upright_all_the_time(gravity: str, motor: str) -> None:
+    """Weight and static law would hold of a robot that hangs below its wheels, too."""
+    body, tape = whole_body.robot_model().body, variant(gravity, motor).trajectory
+    for row in range(0, len(tape.time), 1000):
+        placement = body.frame_placement(tape.q[row], "pelvis")
+        assert placement[2, 2] > 0.99
+        assert placement[2, 3] > 0.6
 
 
 def test_without_gravity_the_arm_sags_and_with_it_not() -> None:

@@ -16,7 +16,7 @@ from flexjoint.errors import RecordingError, RobotError, SimulationError, Unknow
 from flexjoint.model import FlexibleJointModel
 from flexjoint.recording import Recording
 from flexjoint.recording import make as table
-from flexjoint.simulate import references_at, simulate, torque_over
+from flexjoint.simulate import command_rate, references_at, simulate, torque_over
 
 
 def model_of(*effects: Planned) -> FlexibleJointModel:
@@ -87,7 +87,7 @@ def test_the_controller_holds_its_torque_between_ticks() -> None:
     assert tau[10, 0] == pytest.approx(np.clip(expected, -45, 45))
 
 
-def test_the_physics_rate_is_raised_to_a_multiple_of_the_control_rate() -> None:
+def test_whole_steps_to_a_tick_take_a_raised_physics_rate() -> None:
     assert physics_rate(make(PENDULUM, rates={"physics": 1000, "control": 300})) == 1200
     assert physics_rate(make(PENDULUM, rates={"physics": 500, "control": 1000})) == 1000
 
@@ -135,6 +135,18 @@ def test_controllers_are_chosen_by_name_with_named_gains() -> None:
 
 
 # ------------------------------------------------------------------ recorded torque
+@pytest.mark.parametrize(
+    ("physics", "control", "sampled", "expected"),
+    [(1000, 500, 1000, 500), (1000, 300, 1000, 1000), (500, 1200, 500, 500), (500, 1200, 1200, 1200)],
+)
+def test_commands_change_on_ticks_or_where_these_fall_between_steps_on_steps(
+    physics: int, control: int, sampled: int, expected: int
+) -> None:
+    robot = make(PENDULUM, rates={"physics": physics, "control": control})
+    time = np.arange(200) / sampled
+    assert command_rate(recorded("tau_m", time, np.zeros(200)), robot) == expected
+
+
 def recorded(channel: str, time: np.ndarray, values: np.ndarray) -> Recording:
     return table(time, {(channel, "joint"): values, ("q", "joint"): np.zeros_like(time)})
 

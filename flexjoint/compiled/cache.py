@@ -9,6 +9,7 @@ lives as long as the process.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import logging
 import os
@@ -17,11 +18,23 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from flexjoint.compiled.compiler import FLAGS, Compiler
+from flexjoint.compiled.compiler import FLAGS, Compiler, CompilerError, compilers
 
 KEPT = 500  # libraries: some tens of kilobytes each, up to a megabyte for a humanoid
 
 log = logging.getLogger("flexjoint")
+
+
+def load(source: str, compiler: Compiler | None = None) -> tuple[Compiler, ctypes.CDLL]:
+    """The library of a C source, loaded, and the compiler that made it: the given one, else the first that
+    succeeds. Raises CompilerError."""
+    failure = CompilerError("no C compiler: install one, or pip install 'flexjoint[jit]'")
+    for candidate in [compiler] if compiler is not None else compilers():
+        try:
+            return candidate, ctypes.CDLL(str(library(source, candidate)))
+        except CompilerError as error:
+            failure = error
+    raise failure
 
 
 def library(source: str, compiler: Compiler) -> Path:

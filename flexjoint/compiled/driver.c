@@ -2,7 +2,8 @@
    counter, torques held in between, delays by looking rows up. It follows flexjoint/clockwork.py line by
    line; arithmetic on times and delays is in the same order, so that both take the same branches.
 
-   Generated above: fj_step, fj_signals, fj_control, fj_observe, fj_setup and the sizes FJ_*. */
+   Above: fj_step, generated or of newton.c; generated fj_signals, fj_control, fj_observe and
+   the sizes FJ_*. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -18,7 +19,7 @@ typedef struct {
   double *y;                   /* (window, FJ_NY) true signals that the law reads; used with delays only */
   const double *constants;     /* (FJ_NC) of fj_setup */
   const double *torque;        /* (steps, FJ_NU) given torques, or null: the law commands */
-  const double *reference;     /* (ticks, FJ_NR) */
+  const double *reference;     /* (ticks, FJ_NR), or one row for all */
   const double *gains;         /* (FJ_NG) */
   const double *command_delay; /* (FJ_NU) in rows, or null */
   const double *reading_delay; /* (FJ_NY) in rows, or null */
@@ -28,7 +29,10 @@ typedef struct {
   fj_int window, first;        /* rows; the row of the start */
   fj_int begin, end;           /* steps to take, counted from the start */
   fj_int tick_count, tick_steps; /* f_c / f_s as a fraction */
+  fj_int reference_step;       /* from a tick's row of references to the next: FJ_NR, or 0 */
+  fj_int fresh;                /* whether signals of the rows behind have still to be computed */
   fj_int stride, q_ref;          /* q_ref: its place in a row of reference, -1: none */
+  fj_int worst;                /* out: the unknown for which a step did not converge, or -1 */
   fj_int fill;                 /* whether the first command also holds before the start */
   double t_start, t, h;        /* [s] time at the start, at step `begin`, of a step */
 } fj_run;
@@ -77,7 +81,7 @@ static void fj_command(const fj_run *run, fj_int k, double *tau) {
   }
   time = run->t_start + run->h * (double)k;
   arg[0] = y;
-  arg[1] = run->reference + fj_last(run, k) * FJ_NR;
+  arg[1] = run->reference + fj_last(run, k) * run->reference_step;
   arg[2] = run->gains;
   arg[3] = run->constants;
   arg[4] = &time;
@@ -100,7 +104,7 @@ static void fj_sum_up(const fj_run *run, fj_int k, const double *x, const double
   for (i = 0; i < FJ_NU; i++) {
     double wanted = o[i];
     if (run->q_ref >= 0 && !run->torque)
-      wanted = run->reference[fj_last(run, k) * FJ_NR + run->q_ref + i];
+      wanted = run->reference[fj_last(run, k) * run->reference_step + run->q_ref + i];
     o[6 * FJ_NU + i] = wanted - o[i];
   }
   for (i = 0; i < FJ_NO; i++) {
@@ -118,21 +122,16 @@ static int fj_finite(const double *x) {
   return 1;
 }
 
-/* Constants (FJ_NC) of the parameters (FJ_NP). */
-FJ_EXPORT void flexjoint_setup(const double *parameters, double *constants) {
-  const double *arg[1];
-  double *res[1];
-  arg[0] = parameters;
-  res[0] = constants;
-  fj_setup(arg, res, 0, 0, 0);
-}
-
 static fj_int fj_steps(fj_run *run, double *work) {
   const double *arg[FJ_STEP_ARG];
   double *res[FJ_STEP_RES], late[FJ_NU + 1];
-  fj_int k, i, row;
-  if (run->reading_delay && run->begin == 0)
-    for (row = 0; row <= run->first; row++) fj_true(run, row, run->y + (row % run->window) * FJ_NY);
+  fj_int k, i, row, failed;
+  if (run->reading_delay && run->fresh) {
+    const fj_int now = run->first + run->begin, oldest = now - run->window + 1;
+    for (row = oldest > 0 ? oldest : 0; row <= now; row++)
+      fj_true(run, row, run->y + (row % run->window) * FJ_NY);
+    run->fresh = 0;
+  }
   for (k = run->begin; k < run->end; k++) {
     double *x, *next, *tau;
     row = run->first + k;
@@ -159,7 +158,12 @@ static fj_int fj_steps(fj_run *run, double *work) {
     arg[2] = run->constants;
     arg[3] = &run->t;
     res[0] = next;
-    fj_step(arg, res, 0, work, 0);
+    failed = fj_step(arg, res, 0, work, 0);
+    if (failed) {
+      memcpy(next, x, FJ_NX * sizeof(double)); /* nothing after it: the state before the step stays */
+      run->worst = failed - 1;
+      return k;
+    }
     run->t += run->h;
     if (run->reading_delay) fj_true(run, row + 1, run->y + ((row + 1) % run->window) * FJ_NY);
     if ((k + 1) % FJ_WATCH == 0 && !fj_finite(next)) return k;
@@ -169,11 +173,13 @@ static fj_int fj_steps(fj_run *run, double *work) {
   return -1;
 }
 
-/* Take the steps [begin, end). Returns -1, or the step after which the state was not finite; -2 where memory
-   is short. */
+/* Take the steps [begin, end). Returns -1, or the step that did not converge (worst is not -1 then) or after
+   which the state was not finite; -2 where memory is short. */
 FJ_EXPORT fj_int flexjoint_run(fj_run *run) {
   double *work = malloc(FJ_STEP_W * sizeof(double));
-  fj_int failed = work ? fj_steps(run, work) : -2;
+  fj_int failed;
+  run->worst = -1;
+  failed = work ? fj_steps(run, work) : -2;
   free(work);
   return failed;
 }

@@ -16,10 +16,11 @@ import casadi as ca
 import numpy as np
 
 from flexjoint.clockwork import Ticks, _segments, diverged, longest_delay
-from flexjoint.compiled.cache import library
-from flexjoint.compiled.compiler import Compiler, CompilerError, compilers
+from flexjoint.compiled.cache import load
+from flexjoint.compiled.compiler import Compiler
 from flexjoint.compiled.program import Program, numbers_of, write_program
 from flexjoint.control import Law
+from flexjoint.implicit import not_converged
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.parameters import parameter_table
@@ -30,7 +31,7 @@ SHORT = -2  # what driver.c returns where memory is short
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
-class _Run(ctypes.Structure):
+class DriverRun(ctypes.Structure):
     """fj_run of driver.c, field by field."""
 
     _fields_ = (
@@ -60,8 +61,11 @@ class _Run(ctypes.Structure):
                 "end",
                 "tick_count",
                 "tick_steps",
+                "reference_step",
+                "fresh",
                 "stride",
                 "q_ref",
+                "worst",
                 "fill",
             )
         ),
@@ -99,7 +103,8 @@ class Job:
 class Rows:
     """What a run leaves: states (R, row) and commands (R, n) of the kept rows (of the whole tape, where all
     are kept, with the `first` ones before the start); final (row,); summary (4, observed): least, largest,
-    sum and sum of squares over the steps; failed: the step that left the finite numbers, or -1."""
+    sum and sum of squares over the steps; failed: the step that left the finite numbers, or did not converge
+    (worst is the place of its worst unknown then, else -1), or -1."""
 
     states: np.ndarray
     tau_m: np.ndarray
@@ -107,6 +112,7 @@ class Rows:
     summary: np.ndarray | None
     first: int
     failed: int
+    worst: int = -1
 
 
 class CompiledModel:
@@ -116,7 +122,7 @@ class CompiledModel:
         model: a numeric model; its structure counts, not its numbers.
         rate: steps per second. law, references: of a closed loop, with the names that a row of references
             holds; without a law runs take given torques.
-        scheme, width: see `flexjoint.integrate`. free: see `SymbolicModel`.
+        scheme, width: see `flexjoint.integrate`. free, commanded: see `SymbolicModel`.
         compiler: default: the first that works.
 
     Raises:
@@ -134,8 +140,9 @@ class CompiledModel:
         width: float | None = None,
         free: Collection[str] = ("drives",),
         compiler: Compiler | None = None,
+        commanded: Collection[str] = (),
     ) -> None:
-        self.rate, self.scheme, self.free = rate, scheme, tuple(free)
+        self.rate, self.scheme, self.free, self.commanded = rate, scheme, tuple(free), tuple(commanded)
         self.law_kind = type(law) if law is not None else None
         self._layout = model  # for sizes, names and effects' onsets
         self.ticks = Ticks(rate, rate if law is None else model.robot.rates.control)
@@ -145,13 +152,13 @@ class CompiledModel:
         times = (-math.inf, *model.onsets) if model.onsets else (math.inf,)
         phases: list[Phase] = []
         for at in times:
-            symbolic = SymbolicModel(model.robot, model.effects, self.free, at, model.springs)
+            symbolic = SymbolicModel(model.robot, model.effects, self.free, at, model.springs, self.commanded)
             program = write_program(symbolic, rate, scheme, width, law, references)
             self.compiler, loaded = _load(program, compiler)
             phases.append(Phase(program, loaded, _delays(symbolic, program)))
         self.phases = tuple(phases)
         self.program = phases[0].program
-        self._delayed = any(
+        self.delayed = any(
             flow.max_reading_delay(channel) > 0.0
             for _, phase in model.phases
             for flow in phase.flows
@@ -161,10 +168,14 @@ class CompiledModel:
         self.parameters: tuple[str, ...] = symbolic.parameters
 
     # --- jobs ------------------------------------------------------------------------------------
-    def values(self, model: FlexibleJointModel) -> np.ndarray:
-        """(parameters,) numbers of a model of this structure, in the order of `parameters`."""
+    def values(
+        self, model: FlexibleJointModel, springs: Mapping[str, tuple[float, float]] | None = None
+    ) -> np.ndarray:
+        """(parameters,) numbers of a model of this structure, in the order of `parameters`; springs:
+        stiffness and damping of commanded joints."""
         table = parameter_table(model.joints, model.effects, model.robot.model, self.free)
-        return np.array(list(table.values()))
+        told = [number for name in self.commanded for number in (springs or {})[name]]
+        return np.array([*table.values(), *told])
 
     def gains(self, law: Law | None) -> np.ndarray:
         """(gain,) numbers of a law of this kind."""
@@ -205,10 +216,10 @@ class CompiledModel:
         sums = np.zeros((4, program.observed)) if summary else None
         if sums is not None:
             sums[0], sums[1] = np.inf, -np.inf
-        run = _Run()
+        run = DriverRun()
         run.x, run.tau_m, run.kept_x, run.kept_tau_m = map(_pointer, (x, tau_m, kept_x, kept_tau_m))
         run.kept_x = run.kept_x if kept else None
-        y = np.empty((window, max(program.readings, 1))) if self._delayed else np.empty(0)
+        y = np.empty((window, max(program.readings, 1))) if self.delayed else np.empty(0)
         run.y, run.summary = _pointer(y), None if sums is None else _pointer(sums)
         drive, gains = np.ascontiguousarray(job.drive), np.ascontiguousarray(job.gains)
         run.gains = _pointer(gains)
@@ -220,29 +231,32 @@ class CompiledModel:
         run.q_ref = names.index("q_ref") * n if "q_ref" in names else -1
         run.window, run.first, run.stride, run.fill = window, first, max(stride, 1), job.before is None
         run.tick_count, run.tick_steps = self.ticks.ratio
+        run.reference_step, run.fresh = program.reference, 1
         run.h = 1.0 / self.rate
         run.t_start = run.t = job.t
-        failed = self._take_steps(run, job)
+        failed = self.take_steps(run, job.values, 0, job.steps)
         final = x[(first + (job.steps if failed < 0 else failed + 1)) % window].copy()
         if not whole:
-            return Rows(kept_x, kept_tau_m, final, sums, 0, failed)
+            return Rows(kept_x, kept_tau_m, final, sums, 0, failed, run.worst)
         if job.steps:
             tau_m[-1] = tau_m[-2]
-        return Rows(x, tau_m, final, sums, first, failed)
+        return Rows(x, tau_m, final, sums, first, failed, run.worst)
 
-    def _take_steps(self, run: _Run, job: Job) -> int:
-        """All steps of a job, phase by phase; the step that failed, or -1."""
-        failed, done = -1, 0
-        segments = _segments(self._layout, job.t, job.steps, 1.0 / self.rate)
+    def take_steps(self, run: DriverRun, values: np.ndarray, begin: int, end: int) -> int:
+        """The steps [begin, end) of a run, phase by phase; the step that failed, or -1."""
+        failed, done = -1, begin
+        segments = _segments(self._layout, run.t_start, end, 1.0 / self.rate)
         for phase, (_, until) in zip(self.phases, segments, strict=True):
+            if until <= done:
+                continue
             constants = np.empty(max(phase.program.constants, 1))
-            phase.library.flexjoint_setup(_doubles(job.values), _doubles(constants))
+            phase.library.flexjoint_setup(_doubles(values), _doubles(constants))
             run.constants = _pointer(constants)
-            if self._late or self._delayed:
-                command, reading = (np.array(d).ravel() * self.rate for d in phase.delays(job.values))
+            if self._late or self.delayed:
+                command, reading = (np.array(d).ravel() * self.rate for d in phase.delays(values))
                 reading = reading + self._sensing * self.rate
                 run.command_delay = _pointer(command) if self._late else None
-                run.reading_delay = _pointer(reading) if self._delayed else None
+                run.reading_delay = _pointer(reading) if self.delayed else None
             run.begin, run.end = done, until
             failed = phase.library.flexjoint_run(ctypes.byref(run))
             if failed == SHORT:
@@ -260,6 +274,9 @@ class CompiledModel:
         tau_rigid = x[:, ends[-1] + model.nv + model.nf :]
         time = job.t + (np.arange(len(x)) - rows.first) / self.rate
         tape = Trajectory(time, q, v, theta, dtheta, z, tau_rigid, rows.tau_m, rows.first)
+        if rows.worst >= 0:
+            at = float(time[rows.first + rows.failed])
+            raise not_converged(model, at, 1.0 / self.rate, rows.worst)
         if rows.failed >= 0:
             taken = slice(rows.first, rows.first + rows.failed + 2)
             finite = np.isfinite(v[taken]).all(axis=1) & np.isfinite(dtheta[taken]).all(axis=1)
@@ -284,19 +301,11 @@ def _delays(symbolic: SymbolicModel, program: Program) -> ca.Function:
 
 def _load(program: Program, compiler: Compiler | None) -> tuple[Compiler, ctypes.CDLL]:
     """The program's library, by the first compiler that succeeds."""
-    tried = [compiler] if compiler is not None else list(compilers())
-    failure = CompilerError("no C compiler: install one, or pip install 'flexjoint[jit]'")
-    for candidate in tried:
-        try:
-            loaded = ctypes.CDLL(str(library(program.source, candidate)))
-        except CompilerError as error:
-            failure = error
-            continue
-        loaded.flexjoint_setup.argtypes, loaded.flexjoint_setup.restype = [_DOUBLES, _DOUBLES], None
-        loaded.flexjoint_run.argtypes = [ctypes.POINTER(_Run)]
-        loaded.flexjoint_run.restype = ctypes.c_longlong
-        return candidate, loaded
-    raise failure
+    used, loaded = load(program.source, compiler)
+    loaded.flexjoint_setup.argtypes, loaded.flexjoint_setup.restype = [_DOUBLES, _DOUBLES], None
+    loaded.flexjoint_run.argtypes = [ctypes.POINTER(DriverRun)]
+    loaded.flexjoint_run.restype = ctypes.c_longlong
+    return used, loaded
 
 
 def _pointer(values: np.ndarray) -> int:

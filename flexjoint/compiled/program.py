@@ -6,7 +6,7 @@ base's tilt, ...) is computed once per run by fj_setup and not in every step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib import resources
 from typing import Any
@@ -15,10 +15,11 @@ import casadi as ca
 import numpy as np
 
 from flexjoint.c_code import c_source, unguarded
+from flexjoint.compiled import newton as implicit_newton
 from flexjoint.control import Law, Mixed
 from flexjoint.effect import SENSOR_CHANNELS, Signals
 from flexjoint.errors import ModelError
-from flexjoint.model import State
+from flexjoint.integrate import DEFAULT, check_scheme
 from flexjoint.symbolic import DiscreteModel, SymbolicModel
 from flexjoint.symbolic_body import SymbolicBody
 
@@ -64,7 +65,10 @@ def write_program(
     expressions, for a law that takes numbers only.
     """
     model, n = symbolic.model, len(symbolic.robot.joints)
-    discrete = DiscreteModel(symbolic, rate, scheme, width)
+    check_scheme(model, scheme, width)
+    newton = scheme == implicit_newton.SCHEME
+    # the state's layout is that of every scheme
+    discrete = DiscreteModel(symbolic, rate, DEFAULT if newton else scheme, width)
     x = ca.SX.sym("x", discrete.plain)
     state = discrete.unpack(x)
     true = {(channel, i): value for (channel, i), value in symbolic.true(state).items()}
@@ -87,9 +91,16 @@ def write_program(
         }
         reference = {name: r[k * n : (k + 1) * n] for k, name in enumerate(references)}
         torque = ca.SX(ca.densify(free.torque(reference, reading)))
-    stepped, calls = _step(discrete, state)
+    w = implicit_newton.unknowns(discrete)
+    names: tuple[str, ...] = implicit_newton.OUTPUTS if newton else ("fj_step",)
+    if newton:
+        stepped, calls = _with_calls(
+            symbolic, lambda: implicit_newton.equations(discrete, state, w, 1.0 / rate, width)
+        )
+    else:
+        stepped, calls = _with_calls(symbolic, lambda: (discrete.advanced(state, symbolic.u),))
     outputs = {
-        "fj_step": stepped,
+        **dict(zip(names, stepped, strict=True)),
         # at a tick the command to come is not known: a law sees springs without it
         "fj_signals": ca.substitute(
             _column(true[channel, i] for channel in reads for i in range(n)), symbolic.u, ca.SX.zeros(n)
@@ -106,12 +117,15 @@ def write_program(
     bodies = dict(zip(outputs, rest, strict=True))
     arguments = {
         "fj_step": [x, symbolic.u, c, symbolic.t],
+        "fj_guess": [x, symbolic.u, c, symbolic.t],
+        "fj_missing": [w, x, symbolic.u, c, symbolic.t],
+        "fj_end": [w, x, symbolic.u, c, symbolic.t],
         "fj_signals": [x, c, symbolic.t],
         "fj_observe": [x, symbolic.u, c, symbolic.t],
         "fj_control": [y, r, g, c, symbolic.t],
     }
     functions = [ca.Function(name, arguments[name], [bodies[name]]) for name in outputs]
-    step = functions[0]
+    own = functions[: len(names)]
     functions.append(ca.Function("fj_setup", [symbolic.p], [ca.vertcat(ca.SX(0, 1), *constant)]))
     sizes = {
         "FJ_NQ": model.nq,
@@ -124,20 +138,12 @@ def write_program(
         "FJ_NG": g.numel(),
         "FJ_NC": c.numel(),
         "FJ_NO": 7 * n,
-        "FJ_STEP_ARG": step.sz_arg(),
-        "FJ_STEP_RES": step.sz_res(),
-        "FJ_STEP_W": step.sz_w() + 1,
+        **(implicit_newton.sizes(own) if newton else _step_sizes(own[0])),
     }
-    generated = c_source(functions)
-    if "=casadi_nan;" in generated:  # float() and math.sin() of an expression give that, and say nothing
-        raise ModelError(
-            "the control law, a commanded spring or an effect takes numbers only; write it with flexjoint.ops"
-        )
-    defines = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
-    export = '#define FJ_EXPORT __attribute__((visibility("default")))\n'
-    driver = resources.files("flexjoint.compiled").joinpath("driver.c").read_text(encoding="utf-8")
+    numbers = {**sizes, **(implicit_newton.numbers() if newton else {})}
+    files = ["setup.c", *(["newton.c"] if newton else []), "driver.c"]
     return Program(
-        "\n".join([unguarded(generated), defines + export, driver]),
+        c_program(functions, numbers, files),
         model.nq,
         model.nv,
         discrete.plain,
@@ -154,22 +160,44 @@ def write_program(
     )
 
 
-def _step(discrete: DiscreteModel, state: State) -> tuple[ca.SX, bool]:
-    """The state row after a step, and whether it holds calls.
+def c_program(functions: Sequence[ca.Function], numbers: Mapping[str, float], files: Sequence[str]) -> str:
+    """C source of generated functions, of numbers as macros, and of files of this folder, which use both.
+
+    Raises ModelError where a law or effect makes no expressions of expressions.
+    """
+    generated = c_source(functions)
+    if "=casadi_nan;" in generated:  # float() and math.sin() of an expression give that, and say nothing
+        raise ModelError(
+            "the control law, a commanded spring or an effect takes numbers only; write it with flexjoint.ops"
+        )
+    defines = "".join(f"#define {name} {number}\n" for name, number in numbers.items())
+    export = '#define FJ_EXPORT __attribute__((visibility("default")))\n'
+    folder = resources.files("flexjoint.compiled")
+    own = [folder.joinpath(name).read_text(encoding="utf-8") for name in files]
+    return "\n".join([unguarded(generated), defines + export, *own])
+
+
+def _with_calls(
+    symbolic: SymbolicModel, make: Callable[[], tuple[ca.SX, ...]]
+) -> tuple[tuple[ca.SX, ...], bool]:
+    """The expressions that `make` makes of the symbolic model, and whether they hold calls.
 
     Where a scheme evaluates a large tree of bodies several times, the C has its articulated-body algorithm
     once, as a function: compilers take more than proportional time for one that is several times as long.
     """
-    symbolic = discrete.symbolic
     model, body = symbolic.model, symbolic.model.body
-    whole = ca.cse(discrete.advanced(state, symbolic.u))
-    if ca.n_nodes(whole) <= LARGE:
+    whole = tuple(ca.cse([ca.densify(value) for value in make()]))
+    if sum(ca.n_nodes(value) for value in whole) <= LARGE:
         return whole, False
     model.body = _CalledBody(body)
     try:
-        return discrete.advanced(state, symbolic.u), True
+        return make(), True
     finally:
         model.body = body
+
+
+def _step_sizes(step: ca.Function) -> dict[str, int]:
+    return {"FJ_STEP_ARG": step.sz_arg(), "FJ_STEP_RES": step.sz_res(), "FJ_STEP_W": step.sz_w() + 1}
 
 
 class _CalledBody:

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 from flexjoint.compiled.model import CompiledModel
 from flexjoint.compiled.program import numbers_of
+from flexjoint.compiled.rates import FREE, RatesProgram
 from flexjoint.control import Law, Mixed
 from flexjoint.integrate import DEFAULT
 from flexjoint.model import FlexibleJointModel
 
-KEPT = 64  # compiled models; the least recently used one goes
+KEPT = 64  # programs; the least recently used one goes
 
-_models: OrderedDict[Any, CompiledModel] = OrderedDict()
+_made: OrderedDict[Any, Any] = OrderedDict()
 _lock = threading.Lock()
+Made = TypeVar("Made")
 
 
 def compiled_for(
@@ -28,18 +30,30 @@ def compiled_for(
     scheme: str = DEFAULT,
     width: float | None = None,
     free: Collection[str] = ("drives",),
+    commanded: Collection[str] = (),
 ) -> CompiledModel:
     """The compiled model of this structure, made if need be. Arguments and errors as for CompiledModel."""
-    key = _structure(model, rate, law, references, scheme, width, free)
+    key = (*_structure(model, rate, law, references, scheme, width, free), tuple(commanded))
+    return _shared(
+        key, lambda: CompiledModel(model, rate, law, references, scheme, width, free, None, commanded)
+    )
+
+
+def rates_for(model: FlexibleJointModel, at: float) -> RatesProgram:
+    """The compiled right-hand side of this structure, made if need be; errors as for RatesProgram."""
+    key = (*_structure(model, 0.0, None, (), "rates", None, FREE), at)
+    return _shared(key, lambda: RatesProgram(model, at))
+
+
+def _shared(key: Any, make: Callable[[], Made]) -> Made:
     with _lock:
-        if key in _models:
-            _models.move_to_end(key)
-            return _models[key]
-        # the compiled model holds the robot, so that the ids in the key stay taken
-        made = CompiledModel(model, rate, law, references, scheme, width, free)
-        _models[key] = made
-        if len(_models) > KEPT:
-            _models.popitem(last=False)
+        if key not in _made:
+            # what is made holds its model's robot, so that the ids in the key stay taken
+            _made[key] = make()
+            if len(_made) > KEPT:
+                _made.popitem(last=False)
+        _made.move_to_end(key)
+        made: Made = _made[key]
         return made
 
 
@@ -68,7 +82,8 @@ def _structure(
         control = (_words(law), sizes, tuple(references))
     springs = tuple(sorted((name, id(s.stiffness), id(s.damping)) for name, s in model.springs.items()))
     timing = (rate, robot.rates.control, robot.file.sensing_delay, scheme, width)
-    return id(robot.model), robot.contacts, joints, effects, springs, control, timing, tuple(free)
+    ground = robot.contacts, robot.ground
+    return id(robot.model), ground, joints, effects, springs, control, timing, tuple(free)
 
 
 def _words(law: Any) -> Any:

@@ -59,9 +59,9 @@ class Odds:
 def simulated(robot: Robot, effects: Sequence[Planned], reference: Recording) -> Simulation:
     """The robot with these effects along a reference, under its own controller, without noise."""
     model = FlexibleJointModel(robot.extended(effects))
-    rate = max(robot.rates.control, robot.rates.physics)
+    rate = robot.rates.physics
     stride = max(1, int(np.ceil(rate / SAMPLE_RATE)))
-    while rate % stride:
+    while rate.is_integer() and rate % stride:  # a whole number of samples a second, where there is one
         stride += 1
     return simulate(model, reference, sample_rate=rate / stride)
 

@@ -68,7 +68,8 @@ def build(motions: Sequence[Motion], looks: Looks) -> Scene:
     motions = [motion.with_torque(item.at(times)) for item in motions]
     factor = _exaggeration(motions) if looks.exaggerate is None else looks.exaggerate
     legend = _legend(motions, looks.colour)
-    bodies = {id(m.robot): shapes(m.robot, looks.geometry, looks.triangles) for m in motions}
+    robots = {id(item.robot): item.robot for item in motions}  # one that is shown several times is read once
+    bodies = {key: shapes(robot, looks.geometry, looks.triangles) for key, robot in robots.items()}
     drawn = [_Drawn(item, bodies[id(item.robot)]) for item in motions]
     places = _places(drawn)
     nodes: list[Node] = []
