@@ -61,7 +61,7 @@ def compare(
     Each window starts from the measured state. It is driven by the recorded tau_m or tau_motor; through the
     robot's controller when both are absent, or `closed_loop`. A last partial window is dropped. From a
     gap of more than 5 sampling periods in the drive on, a window counts in no sum. engine: see
-    `flexjoint.engine`; windows are short runs, which auto leaves to the pin loop.
+    `flexjoint.engine`; auto counts the steps of all windows.
 
     Raises RecordingError when the recording lacks what that needs or is shorter than one window,
     SimulationError when the simulation diverges.
