@@ -31,7 +31,12 @@ def diagnosed(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], None]:
 
     def replace(result: Diagnosis) -> None:
         def diagnose(
-            nominal: Robot, recordings: Sequence[Recording], *, progress: object = None
+            nominal: Robot,
+            recordings: Sequence[Recording],
+            *,
+            progress: object,
+            payloads: object,
+            refine: bool,
         ) -> Diagnosis:
             assert nominal.joint_names == fake_diagnosis.JOINTS and len(recordings) >= 1
             return result

@@ -105,7 +105,7 @@ def diagnose(
             notes += (f"something like {finding.planned} would help, but others fit as well: not named",)
         measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
     found, estimation, told = _estimated(robot, recordings, best, found, refine, report)
-    notes += told
+    notes += (*told, *verdict.not_believed(best))
     found = verdict.merged(found, candidates)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)

@@ -139,9 +139,7 @@ class Chains:
                     for _ in range(INVERSION_ROUNDS):
                         true = measured - (e.effect.map(Signals(t=self.t), p, true) - true)
                 if e.effect.overrides("delay"):
-                    # x(t + delay) by cubic interpolation on the even grid
-                    at = np.arange(true.size) + float(e.effect.delay(p)) / self.period
-                    true = map_coordinates(true, [at], order=3, mode="nearest")
+                    true = _later(true, -float(e.effect.delay(p)) / self.period)
                 readings[channel] = self._since(e, true, measured)
         q = readings["theta"] if rigid else readings["q"]
         return q, readings["theta"], readings["tau_t"]
@@ -155,7 +153,7 @@ class Chains:
                 t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta, tau_m=torque
             )
             if e.effect.overrides("delay"):
-                torque = np.interp(self.t - float(e.effect.delay(p)), self.t, torque)
+                torque = _later(torque, float(e.effect.delay(p)) / self.period)
             torque = self._since(e, e.effect.map(signals, p, torque), before)
         return torque
 
@@ -336,6 +334,11 @@ class Base:
     @cached_property
     def dtheta(self) -> np.ndarray:
         return self._window.smooth(self.theta, 1)
+
+
+def _later(x: np.ndarray, samples: float) -> np.ndarray:
+    """The signal delayed by a number of samples, by cubic interpolation on the even grid."""
+    return np.asarray(map_coordinates(x, [np.arange(x.size) - samples], order=3, mode="nearest"))
 
 
 def identity(e: Planned) -> tuple[object, ...]:

@@ -15,6 +15,7 @@ from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
 from flexjoint.effect import Kind, Planned
 
 TIE = 12.0  # score by which a rival may lose and still fit as well
+MOVED = 12.0  # more where readings are moved in time, which brings other noise at the record's edges
 MOST_TIES = 3
 SCORE_BLOCK = 1.0  # s, of the time blocks behind the standard errors
 SEEN_SHARE = 0.2  # of a joint's torque: an effect that must be larger to be seen was not excited
@@ -22,7 +23,8 @@ DETECTABLE = 20.0  # energy that makes an effect seen
 SAME = 3.0  # deviations within which joints share one value
 PROBABLE = 0.1  # probability, ties together, below which a cause is not named
 SURE = 3.0  # standard errors by which a cause must differ from none
-NOTABLE = 2.0  # prior deviations of a nominal number that are worth a line
+NOTABLE = 2.0  # standard errors by which a nominal number must be off to be worth a line
+BELIEVED = 3.0  # prior deviations beyond which a nominal number stands for something else that is wrong
 
 
 Key = tuple[str, str | None]  # of an effect on a joint
@@ -184,10 +186,11 @@ def _parameters(
 
 def _ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]:
     """Rivals that fit as well. One that merely contains the found effect is no rival of it."""
-    margin = TIE + 0.05 * leftover(best)
     out: list[Tie] = []
     for rival in rivals:
         other = rival.effects[-1]
+        moved = any(e.effect.overrides("delay") for e in (planned, other))
+        margin = TIE + (MOVED if moved else 0.0) + 0.05 * leftover(best)
         behind = score(rival) - score(best)
         if behind > margin or planned.effect.name in other.effect.contains or len(out) >= MOST_TIES:
             continue
@@ -237,10 +240,25 @@ def _hidden_by_refit(selection: Selection, k: int) -> bool:
 
 def within_tolerance(best: Fit) -> tuple[WithinTolerance, ...]:
     """Nominal numbers that the data show to be off by less than would make them a cause."""
+    return tuple(shown for shown, deviations in _off(best) if abs(deviations) <= BELIEVED)
+
+
+def not_believed(best: Fit) -> tuple[str, ...]:
+    """Notes on nominal numbers that would have to be far off: something else is wrong there."""
+    return tuple(
+        f"{shown.effect} on {shown.joint} would have to be off by {deviations:+.1f} times its tolerance to make"
+        " the balances smaller: not believed, something else is wrong there"
+        for shown, deviations in _off(best)
+        if abs(deviations) > BELIEVED
+    )
+
+
+def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
+    """Actuators' numbers that the data show to be off, and by how many prior deviations."""
     workspace = best.workspace
     pull, error = -workspace.deviations(best.y), workspace.deviation_errors()
     found = {e.key for e in best.effects}
-    out: list[WithinTolerance] = []
+    out = []
     for number, value, std in zip(workspace.nuisance, pull, error, strict=True):
         if (
             number.joint is None
@@ -254,8 +272,8 @@ def within_tolerance(best: Fit) -> tuple[WithinTolerance, ...]:
             name, change = "motor_viscous_friction", change * workspace.robot.joint(number.joint).drive.D_m
         elif name not in ("spring_stiffness", "spring_damping", "motor_inertia"):
             continue
-        out.append(WithinTolerance(name, number.joint, change))
-    return tuple(out)
+        out.append((WithinTolerance(name, number.joint, change), float(value)))
+    return out
 
 
 def not_excited(selection: Selection, candidates: Sequence[Candidate]) -> tuple[tuple[str, str | None], ...]:
