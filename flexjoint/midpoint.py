@@ -69,11 +69,11 @@ class Midpoint:
         model, a = self.model, self.a
         q_mid = model.body.integrate(x.q, a * x.v)
         v_mid = x.v + a * x.acc
-        spring = self.K * (x.theta - x.q[self.of_q])
-        c0 = (self.B * x.dtheta + a * (tau_m[self.of_u] - spring)) / self.den
+        spring = self.K * (x.theta - _entries(x.q, self.of_q))
+        c0 = (self.B * x.dtheta + a * (_entries(tau_m, self.of_u) - spring)) / self.den
         c1, armature = self.c1, self.armature
         tau = model.zeros(model.nv)
-        tau[self.of_v] = spring + self.kd * c0 - self.kap * x.v[self.of_v]
+        tau[self.of_v] = spring + self.kd * c0 - self.kap * _entries(x.v, self.of_v)
         lines: dict[int, Line] = {}
         if self.special:
             c1, armature = ops.copy(c1), ops.copy(armature)
@@ -152,7 +152,7 @@ class Midpoint:
             place, line = model.joints[i].idx_v, lines[i]
             v_mid[place] = ops.where(line.link_sticks, 0.0, v_mid[place])
             v[place], acc[place] = _rubbed(x.v[place], v_mid[place], line.link_free, line.link_shed, h)
-        w_mid = c0 + c1 * v_mid[self.of_v]
+        w_mid = c0 + c1 * _entries(v_mid, self.of_v)
         w = 2.0 * w_mid - x.dtheta
         ddtheta = (w_mid - x.dtheta) / a
         tau_rigid = ops.copy(x.tau_rigid)
@@ -307,6 +307,12 @@ def _rubbed(start: Value, midpoint: Value, free: Value, shed: Value, h: float) -
     left = h - speed / ops.maximum(braking, TINY)
     end = ops.where(rests, -side * onward * left, 2.0 * midpoint - start)
     return end, ops.where(rests, -side * onward, (midpoint - start) / (0.5 * h))
+
+
+def _entries(vector: Value, places: Any) -> Value:
+    """Entries of a vector; none of a CasADi scalar come as a row, which a column does not add to."""
+    out = vector[places]
+    return out.T if out.shape == (1, 0) else out
 
 
 def _places(indices: list[int]) -> Any:

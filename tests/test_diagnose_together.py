@@ -28,7 +28,7 @@ def scale(finding: object) -> Fitted:
 
 def test_two_recordings_know_a_cause_better_than_one() -> None:
     robot, one, two = nominal("crane"), planted(31, SOFT), planted(32, SOFT)
-    alone, both = diagnose(robot, [one]), diagnose(robot, [one, two])
+    alone, both = diagnose(robot, [one], refine=False), diagnose(robot, [one, two])
     assert [(f.effect, f.joint) for f in both.findings] == [("spring_stiffness", "elbow")], summary(both)
     assert both.verdict == "causes", summary(both)
     a, b = scale(alone.findings[0]), scale(both.findings[0])

@@ -31,7 +31,8 @@ PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
 CLEARED = 10.0  # factor in variance by which a set must leave less, to be judged at the level that it leaves
 COMPLETE = 3.0  # times the predicted noise, up to which a balance counts as explained
-NEGLIGIBLE = 0.1  # of the torque tolerance, below which no effect is named whatever it explains
+NEGLIGIBLE = 0.1  # of the torque tolerance, below which no effect is named whatever it explains ...
+CERTAIN = 50.0  # ... and energy that one below the tolerance must earn: seven deviations
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 MOST_EFFECTS = 12
 MOST_EXCHANGES = 4
@@ -73,6 +74,7 @@ def select(
     first: tuple[Scored, ...] = ()
     scanned: tuple[Scored, ...] = ()
     rivals: tuple[tuple[Fit, ...], ...] = ()
+    seen = {_keys(best)}  # a cause may enter at its own level and not stay at that of the set
     while len(best.effects) < MOST_EFFECTS:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         scanned = scanner.scan(best)
@@ -83,6 +85,9 @@ def select(
         if not found:
             break
         best = prune(at_own_level(date_onset(choose(found))))
+        if _keys(best) in seen:
+            break
+        seen.add(_keys(best))
         newest = best.effects[-1]
         best, _ = exchange(
             scanner, best, [e for e in best.effects if e.joint == newest.joint and e is not newest]
@@ -90,6 +95,10 @@ def select(
     report(0.9, "comparing rival causes")
     best, rivals = exchange(scanner, best, best.effects)
     return Selection(best, nothing, first, scanned, rivals)
+
+
+def _keys(result: Fit) -> frozenset[tuple[str, str | None]]:
+    return frozenset(e.key for e in result.effects)
 
 
 def at_own_level(result: Fit) -> Fit:
@@ -179,17 +188,18 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
         alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
         if without.energy - trial.energy < METHOD_ERROR * (alone.energy - trial.energy):
             return False
-    return material(trial, added)
+    return material(trial, added, without.energy - trial.energy)
 
 
-def material(trial: Fit, added: Planned) -> bool:
+def material(trial: Fit, added: Planned, earned: float) -> bool:
     """Whether an effect's torque is beyond the tolerance for what a model does not hold. That tolerance
-    stands for errors of the model; where noise alone is left there are none, and smaller effects count."""
+    stands for errors of the model; where noise alone is left there are none, and smaller effects count that
+    are beyond doubt."""
     if tolerated(trial.workspace, added):
         return False
     shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))
     tolerance = trial.workspace.robot.tolerance.torque
-    if np.max(shares) >= tolerance or np.max(shares) < NEGLIGIBLE * tolerance:
+    if np.max(shares) >= tolerance or np.max(shares) < NEGLIGIBLE * tolerance or earned < CERTAIN:
         return bool(np.max(shares) >= tolerance)
     return bool(np.all(at_own_level(trial).workspace.temper[shares > 0.0] < COMPLETE))
 

@@ -246,7 +246,7 @@ def within_tolerance(best: Fit) -> tuple[WithinTolerance, ...]:
 def not_believed(best: Fit) -> tuple[str, ...]:
     """Notes on nominal numbers that would have to be far off: something else is wrong there."""
     return tuple(
-        f"{shown.effect} on {shown.joint} would have to be off by {deviations:+.1f} times its tolerance to make"
+        f"{shown.effect} on {shown.joint} would have to be {deviations:+.1f} times its tolerance off to make"
         " the balances smaller: not believed, something else is wrong there"
         for shown, deviations in _off(best)
         if abs(deviations) > BELIEVED
