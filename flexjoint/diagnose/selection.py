@@ -212,7 +212,8 @@ def tolerated(workspace: Workspace, added: Planned) -> bool:
         name, scale = number.name, 1.0
         if name == "motor_damping":
             name, scale = "motor_viscous_friction", workspace.robot.joint(str(number.joint)).drive.D_m
-        if (name, number.joint) == added.key and number.name in NUMBERS:
+        nominal = number.name in NUMBERS or number.name.endswith("_encoder_offset")
+        if (name, number.joint) == added.key and nominal:
             (param,) = added.effect.nulls
             return bool(abs(added.values[param.name]) <= TOLERATED * number.spread * scale)
     return False
