@@ -131,7 +131,8 @@ class Refinement:
         used = self._used(point)
         step, curvature = self._step(point, used), self._curvature(point, used)
         errors = np.sqrt(np.diag(self._inverse(curvature))[: self.k])
-        return step, float(np.max(np.abs(step[: self.k]) / errors))
+        never = np.full_like(errors, np.inf)  # a number that no window tells of does not settle
+        return step, float(np.max(np.divide(np.abs(step[: self.k]), errors, out=never, where=errors > 0.0)))
 
     def _moved(self, point: _Point, step: np.ndarray) -> _Point:
         slots = np.clip(point.slots + step[: self.k], self.low, self.high)
