@@ -64,7 +64,7 @@ def unexplained(best: Fit, residuals: tuple[ResidualView, ...]) -> tuple[Unexpla
     """Balances whose leftover is beyond noise and beyond the robot's torque tolerance. Where nothing was
     found and only implausible nominal numbers would explain the error, the whole error is left over."""
     workspace = best.workspace
-    strained = not best.effects and float(np.max(workspace.temper)) > STRAINED
+    strained = not best.effects and workspace.strain > STRAINED
     found = []
     for row, seen in zip(workspace.balances.rows, residuals, strict=True):
         view = replace(seen, after=seen.before) if strained else seen

@@ -32,7 +32,8 @@ RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explai
 CLEARED = 10.0  # factor in variance by which a set must leave less, to be judged at the level that it leaves
 COMPLETE = 3.0  # times the predicted noise, up to which a balance counts as explained
 NEGLIGIBLE = 0.1  # of the torque tolerance, below which no effect is named whatever it explains ...
-CERTAIN = 50.0  # ... and energy that one below the tolerance must earn: seven deviations
+CERTAIN = 100.0  # ... and energy that one below the tolerance must earn: ten deviations
+AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 MOST_EFFECTS = 12
 MOST_EXCHANGES = 4
@@ -171,15 +172,17 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
 
 
 def degenerate(planned: Planned) -> bool:
-    """Whether a law with simpler special cases has shrunk to one of them: a shape parameter at its bound."""
+    """Whether a law has shrunk to a simpler one, or to none: a shape parameter at its bound."""
     shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
-    return bool(planned.effect.contains) and any(
-        np.isclose(planned.values[p.name], (p.low, p.high), rtol=1e-6, atol=0.0).any() for p in shapes
+    return any(
+        np.isclose(planned.values[p.name], (p.low, p.high), rtol=AT_BOUND, atol=0.0).any() for p in shapes
     )
 
 
 def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error."""
+    if degenerate(added):
+        return False
     if score(trial) >= score(without) - LEFTOVER * leftover(trial):
         return False
     beside = [e for e in trial.effects if e is not added and e.joint == added.joint]
@@ -199,7 +202,9 @@ def material(trial: Fit, added: Planned, earned: float) -> bool:
         return False
     shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))
     tolerance = trial.workspace.robot.tolerance.torque
-    if np.max(shares) >= tolerance or np.max(shares) < NEGLIGIBLE * tolerance or earned < CERTAIN:
+    # an onset is sought over the whole record: by chance one fits something small
+    doubtful = earned < CERTAIN or added.since is not None
+    if np.max(shares) >= tolerance or np.max(shares) < NEGLIGIBLE * tolerance or doubtful:
         return bool(np.max(shares) >= tolerance)
     return bool(np.all(at_own_level(trial).workspace.temper[shares > 0.0] < COMPLETE))
 

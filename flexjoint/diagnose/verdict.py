@@ -10,7 +10,7 @@ import numpy as np
 
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
-from flexjoint.diagnose.selection import Selection, at_own_level, leftover, score
+from flexjoint.diagnose.selection import Selection, at_own_level, degenerate, leftover, score
 from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
 from flexjoint.effect import Kind, Planned
 
@@ -38,7 +38,8 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
     while selection.best.effects:
         best = selection.best
         certain = [
-            certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
+            0.0 if degenerate(e) else certainty(best, e, std)
+            for e, std in zip(best.effects, standard_errors(best), strict=True)
         ]
         worst = int(np.argmin(certain))
         if certain[worst] >= SURE:
