@@ -27,6 +27,11 @@ class Nuisance:
     joint: str | None
     spread: float
 
+    @property
+    def held_as_effect(self) -> bool:
+        """Whether `as_effects` makes an effect of its deviation."""
+        return self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")
+
 
 class DriveDeviation(Effect):
     """An actuator whose nominal numbers are off by relative amounts (not a cause: a tolerance at work)."""

@@ -24,7 +24,10 @@ from flexjoint.robot import Robot
 FILTER_SECONDS = 0.004  # standard deviation of the Gaussian window, at least ...
 FILTER_SAMPLES = 2.0  # ... this many samples, below which its sampled kernel aliases
 EDGE_SIGMAS = 8.0  # samples this close to an edge or gap are not used, ...
-EDGE_SECONDS = 0.1  # ... nor within this of the recording's ends and long gaps, where a denoised twin departs
+# ... nor within this of ends and long gaps: whitening integrates what differentiation has made large, and a
+# noise that is cut off abruptly then leaves a tail of half a second
+EDGE_SECONDS = 0.15
+PADDED_SIGMAS = 4.5  # of the filter, within which it mixes in what lies beyond an end
 WELCH_SEGMENT = 1024  # samples, of the spectrum from which noise is told from motion
 TICK_SLACK = 0.2  # of a control period by which a stamp may precede its tick
 LONGEST_BRIDGE = 4  # missing samples in a row that are interpolated and used
@@ -139,9 +142,14 @@ def _torque_noise(samples: np.ndarray, held: bool, period: float, rate: float) -
     return white * float(np.sqrt(1.5 * (ticks - 1.0))) / ticks
 
 
+def margin(sigma: float) -> float:
+    """Seconds beside an end or a gap that are not used, for a filter of this standard deviation [s]."""
+    return max(EDGE_SIGMAS * sigma, EDGE_SECONDS)
+
+
 def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
     """Drop what lies within the filter's reach of an edge or a gap."""
-    reach = int(np.ceil(max(EDGE_SIGMAS * sigma, EDGE_SECONDS) / period))
+    reach = int(np.ceil(margin(sigma) / period))
     bad = np.concatenate([np.ones(reach, bool), ~valid, np.ones(reach, bool)])
     spread = np.convolve(bad.astype(float), np.ones(2 * reach + 1), mode="same") > 0.5
     return ~spread[reach:-reach]

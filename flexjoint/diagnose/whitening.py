@@ -17,6 +17,7 @@ from scipy import fft
 from flexjoint.body import inertial_of
 from flexjoint.diagnose.balances import LINK, MOTOR, Balances, Row
 from flexjoint.diagnose.motion import mass_along
+from flexjoint.diagnose.signals import PADDED_SIGMAS, margin
 from flexjoint.effect import Drive, Planned, Signals, Site
 from flexjoint.robot import Joint
 
@@ -113,11 +114,13 @@ def _deviation(balances: Balances, effects: Sequence[Planned], torque_scale: np.
 
 
 def _window(balances: Balances) -> np.ndarray:
-    """1 on usable samples, cosine flanks inside the unused margin, 0 beyond."""
-    reach = max(2, int(3.0 * balances.motion.readings.sigma / balances.motion.readings.period))
+    """1 on usable samples, 0 beyond the unused margin, and flanks as flat as it allows."""
+    readings = balances.motion.readings
+    flanked = margin(readings.sigma) - PADDED_SIGMAS * readings.sigma
+    reach = max(2, int(flanked / readings.period))
     flank = np.hanning(2 * reach + 3)[1:-1]
     padded = np.zeros(balances.filter.size)
-    padded[: balances.filter.count] = balances.motion.readings.valid
+    padded[: balances.filter.count] = readings.valid
     return np.clip(np.convolve(padded, flank / flank.sum(), mode="same") * 2.0, 0.0, 1.0)
 
 

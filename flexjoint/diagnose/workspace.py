@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from flexjoint.diagnose import whitening
 from flexjoint.diagnose.balances import TwinBalances
 from flexjoint.diagnose.motion import reconstruct
-from flexjoint.diagnose.nuisance import NUMBERS, Columns, as_effects
+from flexjoint.diagnose.nuisance import Columns, as_effects
 from flexjoint.diagnose.signals import denoised, prepare
 from flexjoint.effect import Planned, Signals
 from flexjoint.recording import Recording
@@ -50,6 +50,7 @@ class Workspace:
         self._signals: dict[str | None, Signals] = {}
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
+        self._as_effects = np.array([n.held_as_effect for n in self.nuisance], dtype=bool)
         self._moved, self._move = np.zeros(0, dtype=int), np.zeros((0, self.samples))
         self.temper = np.ones(len(rows))
         self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
@@ -236,9 +237,12 @@ class Workspace:
         return float(residual @ residual) + float(pull @ pull)
 
     def _linear_part(self, pull: np.ndarray) -> np.ndarray:
-        moved = (*NUMBERS, "inertial", "link_encoder_offset", "motor_encoder_offset")
-        other = [k for k, n in enumerate(self.nuisance) if n.name not in moved]
-        return pull[other] @ self.J[other] if other else np.zeros(self.samples)
+        """(samples,) trace of the deviations that `as_effects` does not make effects of."""
+        return self._along(np.where(self._as_effects, 0.0, pull))
+
+    def moved_part(self, pull: np.ndarray) -> np.ndarray:
+        """(samples,) trace, to first order, of the deviations that `as_effects` makes effects of."""
+        return self._along(np.where(self._as_effects, pull, 0.0))
 
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Q between columns a (k, samples) and b (l, samples): (k, l)."""
