@@ -44,10 +44,12 @@ def lever() -> Robot:
 
 
 def tied(diagnosis: Diagnosis) -> set[str]:
-    """Both gains, where either is named and the other listed beside it."""
-    gains = [f for f in diagnosis.findings if f.effect in ("torque_gain", "torque_sensor_gain")]
+    """Both gains, where either is named and the other listed beside it. (A cogging of one cycle is nearly a
+    gain on this motion: whether it is listed, too, hangs on a few units of energy.)"""
+    names = {"torque_gain", "torque_sensor_gain"}
+    gains = [f for f in diagnosis.findings if f.effect in names]
     assert len(gains) == 1, summary(diagnosis)
-    return {gains[0].effect, *(t.effect for t in gains[0].indistinguishable)}
+    return names & {gains[0].effect, *(t.effect for t in gains[0].indistinguishable)}
 
 
 def test_the_same_recording_twice_names_what_it_names_once() -> None:
