@@ -19,9 +19,10 @@ from flexjoint.diagnose.scan import Scanner, Scored
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Planned
 
-PRICE_FIRST = 10.0  # energy that an effect of one number must earn: about 3 deviations
-PRICE_NUMBER = 12.0  # and for each further number, or an onset: a finer law must be clearly better
-PRICE_ANOTHER = 6.0  # and for every cause beside the first: one law of two numbers before two of one
+# energy that an effect of one number must earn, 4 deviations: some hundred candidates are tried, and in a
+# hundred healthy recordings chance may favour one of them
+PRICE = 16.0
+PRICE_NUMBER = 12.0  # and for each further number, or an onset: more than chance gives, less than a law
 METHOD_ERROR = (
     1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
 )
@@ -56,8 +57,7 @@ class Selection:
 
 def price(effects: Sequence[Planned]) -> float:
     numbers = [sum(p.size for p in e.effect.params) + (e.since is not None) for e in effects]
-    another = PRICE_ANOTHER * max(0, len(numbers) - 1)
-    return another + sum(PRICE_FIRST + PRICE_NUMBER * (count - 1) for count in numbers)
+    return sum(PRICE + PRICE_NUMBER * (count - 1) for count in numbers)
 
 
 def score(result: Fit) -> float:

@@ -169,9 +169,9 @@ class Workspace:
     def residual(self, extra: Sequence[Planned]) -> np.ndarray:
         """(samples,) whitened residual with these effects beyond (or instead of) the nominal model's.
 
-        Effects that change what noise makes of a balance (an inertia, a stiffness, a gain) enter through
-        their trace on the denoised recording: a fit must not be drawn towards numbers that shrink a
-        balance, and its noise with it (errors in variables; Fuller 1987)."""
+        Effects that change what noise makes of a balance (an inertia, a stiffness, a gain, a late sensor)
+        enter through their trace on the denoised recording: a fit must not be drawn towards numbers that
+        shrink a balance, and its noise with it (errors in variables; Fuller 1987)."""
         every, loud = self.with_nominal(extra), self._loud(extra)
         y = self.whitened(loud)
         return y if len(loud) == len(every) else y + self._quiet_change(loud, every)
@@ -187,9 +187,9 @@ class Workspace:
 
     def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
-        kept = [e for e in extra if not whitening.changes_noise(e)]
+        kept = [e for e in extra if not whitening.moves_noise(e)]
         replaced = {e.key for e in extra}
-        return [e for e in self.nominal if e.key not in replaced or whitening.changes_noise(e)] + kept
+        return [e for e in self.nominal if e.key not in replaced or whitening.moves_noise(e)] + kept
 
     def _quiet_change(self, base: Sequence[Planned], effects: Sequence[Planned]) -> np.ndarray:
         return self.whitening.apply(self.balances.quiet.change(base, effects)).ravel()
