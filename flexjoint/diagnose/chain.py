@@ -6,17 +6,16 @@ evaluated on unfiltered positions, then filtered (a filter does not commute with
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from threading import Lock
 
 import numpy as np
 from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from flexjoint.diagnose.motion import Motion
+from flexjoint.diagnose.recent import Recent
 from flexjoint.effect import Drive, Planned, Signals, Site
 
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
@@ -51,8 +50,7 @@ class Chains:
         self.period = motion.readings.period
         self.t = motion.readings.time - motion.readings.start
         self.floating = motion.robot.file.offsets == "per_recording"
-        self._cache: OrderedDict[object, Chain] = OrderedDict()  # the latest last
-        self._lock = Lock()
+        self._recent: Recent[Chain] = Recent()
         self._bases: dict[int, Base] = {}
 
     def base(self, i: int) -> Base:
@@ -63,16 +61,7 @@ class Chains:
     def get(self, i: int, effects: Sequence[Planned]) -> Chain:
         """The chain of joint i with these effects of its own at work."""
         key = (i, *(identity(e) for e in effects))
-        with self._lock:
-            if key in self._cache:
-                self._cache.move_to_end(key)
-                return self._cache[key]
-        chain = self._chain(i, effects)
-        with self._lock:
-            self._cache[key] = chain
-            if len(self._cache) * chain.nbytes > REMEMBERED:
-                self._cache.popitem(last=False)
-        return chain
+        return self._recent.get(key, lambda: self._chain(i, effects), REMEMBERED)
 
     def _chain(self, i: int, effects: Sequence[Planned]) -> Chain:
         joint, base, s = self.motion.robot.joints[i], self.base(i), self.jomega

@@ -18,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from flexjoint.diagnose.candidates import Candidate, Trace, traces
 from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnose.whitening import Band
 from flexjoint.effect import Planned
 
 BLOCKS = 16  # time blocks at whose edges an onset is tried
@@ -49,15 +50,20 @@ class Scored:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A trace with its columns (k, rows - first, K), from the first balance on in which it leaves a mark."""
+    """A trace, with its columns not yet whitened: that is quickly done, and they are smaller."""
 
     trace: Trace  # without columns
-    first: int
-    columns: np.ndarray
+    bands: tuple[Band, ...]
+    first: int  # balance in which it leaves a mark
+    sight: float
 
     @property
-    def sight(self) -> float:
-        return float(np.sqrt(np.max(np.sum(self.columns**2, axis=(1, 2)))))
+    def nbytes(self) -> int:
+        return sum(band.nbytes for band in self.bands)
+
+    def columns(self) -> np.ndarray:
+        """(k, rows - first, K) whitened, from the first balance on."""
+        return np.array([self.trace.whitening.white(band)[self.first :] for band in self.bands])
 
 
 class Scanner:
@@ -101,14 +107,18 @@ class Scanner:
     ) -> list[tuple[int, Scored]]:
         """The best start of each candidate, with the candidate's number."""
         best: dict[int, Scored] = {}
-        for batch in _batches((k, kept) for k, c in part for kept in self._kept(c, base, current)):
-            for (k, kept), products in zip(batch, against.tails([kept for _, kept in batch]), strict=True):
+        for batch in _batches((k, *kept) for k, c in part for kept in self._kept(c, base, current)):
+            traced = against.tails([kept for _, kept, _ in batch], [columns for _, _, columns in batch])
+            for (k, kept, _), products in zip(batch, traced, strict=True):
                 scored = _score(kept, *products, against.starts)
                 if scored is not None and (k not in best or scored.removes > best[k].removes):
                     best[k] = scored
         return list(best.items())
 
-    def _kept(self, candidate: Candidate, base: Sequence[Planned], current: Fit) -> Iterator[_Kept]:
+    def _kept(
+        self, candidate: Candidate, base: Sequence[Planned], current: Fit
+    ) -> Iterator[tuple[_Kept, np.ndarray]]:
+        """The candidate's traces, one per start, with their columns (k, rows - first, K)."""
         # a trace depends on the effects of its own joint only (a body's is fitted to the residual)
         workspace, own = current.workspace, [e for e in base if e.joint == candidate.joint]
         rows = len(workspace.balances.rows)
@@ -117,16 +127,17 @@ class Scanner:
             return
         key = (candidate.key, candidate.words, *(identity(e) for e in own))
         if key in self._traces:
-            yield from self._traces[key]
+            yield from ((kept, kept.columns()) for kept in self._traces[key])
             return
         remembered: list[_Kept] | None = []
+        held = 8 * len(workspace.nuisance) * workspace.samples
         for trace in traces(workspace, candidate, own, current.y):
-            kept = _kept(trace, rows)
-            yield kept
+            kept, columns = _kept(trace, rows)
+            yield kept, columns
             if remembered is not None:
                 remembered.append(kept)
-                if not self._room(kept.columns.nbytes, workspace.J.nbytes):
-                    self._room(-sum(k.columns.nbytes for k in remembered), workspace.J.nbytes)
+                if not self._room(kept.nbytes, held):
+                    self._room(-sum(k.nbytes for k in remembered), held)
                     remembered = None
         if remembered is not None:
             self._traces[key] = remembered
@@ -138,22 +149,25 @@ class Scanner:
             return self._bytes + held <= MEMORY
 
 
-def _kept(trace: Trace, rows: int) -> _Kept:
+def _kept(trace: Trace, rows: int) -> tuple[_Kept, np.ndarray]:
     columns = trace.columns.reshape(len(trace.columns), rows, -1)
-    first = int(np.argmax(np.any(columns, axis=(0, 2))))
-    return _Kept(replace(trace, columns=np.zeros((0, 0))), first, columns[:, first:].copy())
+    first = min((int(band.rows[0]) for band in trace.bands if band.rows.size), default=0)
+    sight = float(np.sqrt(np.max(np.einsum("krt,krt->k", columns, columns))))
+    return _Kept(replace(trace, bands=()), trace.bands, first, sight), columns[:, first:]
 
 
-def _batches(numbered: Iterator[tuple[int, _Kept]]) -> Iterator[list[tuple[int, _Kept]]]:
+def _batches(
+    numbered: Iterator[tuple[int, _Kept, np.ndarray]],
+) -> Iterator[list[tuple[int, _Kept, np.ndarray]]]:
     """Neighbours that begin at the same balance, up to BATCH columns at a time."""
-    batch: list[tuple[int, _Kept]] = []
+    batch: list[tuple[int, _Kept, np.ndarray]] = []
     width = 0
-    for k, kept in numbered:
-        width += len(kept.columns)
+    for k, kept, columns in numbered:
+        width += len(columns)
         if batch and (kept.first != batch[0][1].first or width > BATCH):
             yield batch
-            batch, width = [], len(kept.columns)
-        batch.append((k, kept))
+            batch, width = [], len(columns)
+        batch.append((k, kept, columns))
     if batch:
         yield batch
 
@@ -191,16 +205,16 @@ class _Against:
         even = np.linspace(time[0], time[-1], BLOCKS + 1)[:-1]
         edges = np.unique(np.searchsorted(time, even))
         self.starts = workspace.balances.chains.t[0] + time[edges]
-        fixed, free = len(workspace.J), len(current.tangents)
+        fixed, free = len(workspace.nuisance), len(current.tangents)
         tangents = current.tangents * workspace.weights
         size = np.maximum(np.sqrt(np.sum(tangents**2, axis=1)), 1e-9)[:, None]
         tangents = tangents / size
         y = current.y * workspace.weights
         gram = np.zeros((fixed + free, fixed + free))
         gram[:fixed, :fixed] = workspace.gram
-        pull = workspace.J @ (current.y * workspace.squares)
+        pull = workspace.pull(current.y)
         if free:
-            gram[fixed:, :fixed] = (tangents * workspace.weights) @ workspace.J.T
+            gram[fixed:, :fixed] = workspace.across(tangents * workspace.weights)
             gram[fixed:, fixed:] = tangents @ tangents.T
             gram[:fixed, fixed:] = gram[fixed:, :fixed].T
             # tangents are free; a ridge for rounding, and for numbers without any trace
@@ -211,24 +225,26 @@ class _Against:
         self.squares = workspace.squares.reshape(self.rows, -1)
         ends = [*edges[1:], time.size]
         self.slices = [slice(a, b) for a, b in zip(edges, ends, strict=True)]
-        # what columns are multiplied by, (p, rows, samples) each: the nominal numbers' columns as they are,
-        # for there is no room to copy them; tangents and residual
-        self.fixed = workspace.J.reshape(fixed, self.rows, time.size)
+        # what columns are multiplied by: the nominal numbers' columns, which are not copied for their size;
+        # tangents and residual, (p, rows, samples)
+        self.fixed = workspace.across_part
         free_part = np.concatenate([current.tangents / size, current.y[None]])
         self.free = free_part.reshape(free + 1, self.rows, time.size)
 
-    def tails(self, batch: Sequence[_Kept]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Projected curvature and force of each trace's columns, switched on at each block's start. The
-        traces begin at the same balance."""
+    def tails(
+        self, batch: Sequence[_Kept], traced: Sequence[np.ndarray]
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Projected curvature and force of each trace's columns (k, rows - first, K), switched on at each
+        block's start. The traces begin at the same balance."""
         first = batch[0].first
         own, across = [], []
         for s in self.slices:
-            columns = np.concatenate([kept.columns[:, :, s] for kept in batch])
+            columns = np.concatenate([part[:, :, s] for part in traced])
             weighted = columns * self.squares[first:, s]
             own.append(weighted.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T)
             products = [
-                np.hstack([weighted[:, r - first] @ part[:, r, s].T for part in (self.fixed, self.free)])
-                for r in range(first, self.rows)
+                np.hstack([self.fixed(part, r, s), part @ self.free[:, r, s].T])
+                for r, part in enumerate(weighted.transpose(1, 0, 2), start=first)
             ]
             across.append(np.sum(products, axis=0))
         curvature, both = (np.cumsum(np.array(x)[::-1], axis=0)[::-1] for x in (own, across))
@@ -237,7 +253,7 @@ class _Against:
         force = with_y - through @ self.pulled
         out, start = [], 0
         for kept in batch:
-            k = slice(start, start + len(kept.columns))
+            k = slice(start, start + len(kept.bands))
             start = k.stop
             out.append((curvature[:, k, k] - through[:, k] @ solved[:, k].transpose(0, 2, 1), force[:, k]))
         return out

@@ -8,7 +8,7 @@ The whitened residual of a healthy robot then has energy 1 per degree of freedom
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,19 @@ CUT_GAIN = 0.25  # the band ends where the Gaussian filter passes this share
 ROUNDING = 1e-11
 UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
 FLOOR = 6e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
+
+
+@dataclass(frozen=True)
+class Band:
+    """What of some balances lies in the whitened band: much smaller than their whitened series, as a balance
+    leaves a mark in all that come after it."""
+
+    rows: np.ndarray  # (k,) ascending
+    spectra: np.ndarray  # (k, F_band)
+
+    @property
+    def nbytes(self) -> int:
+        return self.spectra.nbytes
 
 
 @dataclass(frozen=True)
@@ -43,18 +56,29 @@ class Whitening:
 
     def apply(self, spectra: np.ndarray) -> np.ndarray:
         """(m, F) -> (m, K): whitened series at the usable samples."""
-        band, used = self.taper.size, np.flatnonzero(np.any(spectra, axis=1))
-        white = np.zeros((len(spectra), self.keep.size))
+        return self.white(self.band(dict(enumerate(spectra))))
+
+    def band(self, spectra: Mapping[int, np.ndarray]) -> Band:
+        """What of some balances' spectra (F,), by row, is whitened."""
+        used = np.array([row for row in sorted(spectra) if np.any(spectra[row])], dtype=int)
         if not used.size:
-            return white
+            return Band(used, np.zeros((0, self.taper.size), dtype=complex))
         # what lies beyond edges and gaps is cut off first: the whitening must not smear it
-        series = fft.irfft(spectra[used], self.size, axis=-1) * self.window
-        inside = fft.rfft(series, axis=-1)[:, :band] * self.taper
-        first = int(used[0])
-        mixed = np.zeros((len(spectra) - first, band), dtype=complex)
-        for row, spectrum in zip(used, inside, strict=True):
+        series = fft.irfft(np.array([spectra[row] for row in used]), self.size, axis=-1)
+        series *= self.window
+        return Band(used, fft.rfft(series, axis=-1)[:, : self.taper.size] * self.taper)
+
+    def white(self, band: Band) -> np.ndarray:
+        """(m, K): whitened series at the usable samples."""
+        white = np.zeros((len(self.matrix), self.keep.size))
+        if not band.rows.size:
+            return white
+        first = int(band.rows[0])
+        mixed = np.zeros((len(white) - first, self.taper.size), dtype=complex)
+        for row, spectrum in zip(band.rows, band.spectra, strict=True):
             mixed[row - first :] += self.matrix[row:, row] * spectrum
-        white[first:] = fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale
+        series = fft.irfft(mixed, self.length, axis=-1)
+        np.multiply(series[:, self.keep], self.scale, out=white[first:])
         return white
 
 
