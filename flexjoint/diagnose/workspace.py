@@ -33,7 +33,7 @@ NOISY = 3.0  # temper above which sensor noise no longer decides anything
 TEMPER_ROUNDS = 12
 TELLING = 100.0  # energy that must remain, for a cause to be able to earn its price
 FEWEST = 100  # independent samples that a recording is credited with at least
-REMEMBERED = 4e7  # bytes of residuals and of their derivatives
+REMEMBERED = 3e7  # bytes of residuals and their derivatives, and of columns that friction moves
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
 
 
