@@ -51,6 +51,13 @@ class Balances:
     def change(self, base: Sequence[Planned], effects: Sequence[Planned]) -> np.ndarray:
         """(rows, F) residual of `effects` minus that of `base`; only joints that differ are evaluated."""
         out = np.zeros((len(self.rows), self.filter.omega.size), dtype=complex)
+        for r, spectrum in self.changed(base, effects).items():
+            out[r] = spectrum
+        return out
+
+    def changed(self, base: Sequence[Planned], effects: Sequence[Planned]) -> dict[int, np.ndarray]:
+        """The same, (F,) by row, of the rows that may differ."""
+        out: dict[int, np.ndarray] = {}
         before, after = self._all(base), self._all(effects)
         load: np.ndarray | float = 0.0
         if self._touches_body(base, before) or self._touches_body(effects, after):
@@ -60,7 +67,7 @@ class Balances:
             if before[j] is not after[j]:
                 out[r] = self._row(row, after[j], 0.0) - self._row(row, before[j], 0.0)
             if isinstance(load, np.ndarray) and self._carries_load(row):
-                out[r] -= load[j]
+                out[r] = out[r] - load[j] if r in out else -load[j]
         return out
 
     def time_series(self, spectrum: np.ndarray) -> np.ndarray:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING
+from flexjoint.diagnose.whitening import Band, Whitening
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Effect, Param, Planned, Site, catalogue
 
@@ -37,14 +39,20 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Trace:
-    """A candidate at one start: whitened columns (k, samples), and how amplitudes become values."""
+    """A candidate at one start: columns before they are whitened, and how amplitudes become values."""
 
     candidate: Candidate
     start: Mapping[str, Any]
-    columns: np.ndarray
+    bands: tuple[Band, ...]
+    whitening: Whitening
     kind: str  # amplitudes | whole | phase | inertial
     trial: Mapping[str, float]
     origin: Mapping[str, float]  # values at amplitude 0: null, or what the nominal model lists
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """(k, samples) whitened."""
+        return np.array([self.whitening.white(band).ravel() for band in self.bands])
 
     def values(self, amplitude: np.ndarray) -> dict[str, Any]:
         """Parameter values for fitted amplitudes of the columns, clipped into the bounds."""
@@ -174,18 +182,20 @@ def _trace(
         p.name: float(p.null or 0.0) if listed is None else float(listed.values[p.name]) for p in effect.nulls
     }
 
-    def column(values: Mapping[str, Any]) -> np.ndarray:
-        return workspace.moved(base, [*without, candidate.planned(values)])
+    def column(values: Mapping[str, Any]) -> Band:
+        return workspace.moved_band(base, [*without, candidate.planned(values)])
+
+    white = workspace.whitening
 
     if given:
         trial = {name: start[name] for name in given}
-        return Trace(candidate, start, column(start)[None], "whole", trial, origin)
+        return Trace(candidate, start, (column(start),), white, "whole", trial, origin)
     trial = {p.name: trial_size(workspace, candidate, p) for p in effect.nulls if p.name not in phase}
     if phase:
-        columns = np.stack([column({**start, **trial, phase[0]: a}) for a in (0.0, 0.5 * np.pi)])
-        return Trace(candidate, start, columns, "phase", trial, origin)
-    rows = [column({**start, **origin, name: origin[name] + trial[name]}) for name in trial]
-    return Trace(candidate, start, np.array(rows), "amplitudes", trial, origin)
+        bands = tuple(column({**start, **trial, phase[0]: a}) for a in (0.0, 0.5 * np.pi))
+        return Trace(candidate, start, bands, white, "phase", trial, origin)
+    bands = tuple(column({**start, **origin, name: origin[name] + trial[name]}) for name in trial)
+    return Trace(candidate, start, bands, white, "amplitudes", trial, origin)
 
 
 def trial_size(workspace: Workspace, candidate: Candidate, param: Param) -> float:
@@ -221,9 +231,9 @@ def inertial_trace(workspace: Workspace, candidate: Candidate, y: np.ndarray) ->
     assert candidate.joint is not None
     effect = candidate.effect
     i = workspace.robot.joint_names.index(candidate.joint)
-    moments = np.stack([workspace.inertial_column(i, unit) for unit in np.eye(10)])
-    curvature = workspace.product(moments, moments)
-    slope = workspace.against(moments, y)
+    white = workspace.whitening
+    moments = np.stack([white.white(workspace.inertial_band(i, unit)).ravel() for unit in np.eye(10)])
+    curvature, slope = workspace.normal(moments, y)
     amplitude = effect.nulls[0]
     shape = next(p for p in effect.params if p.size > 1)
 
@@ -250,5 +260,6 @@ def inertial_trace(workspace: Workspace, candidate: Candidate, y: np.ndarray) ->
     assert best is not None
     mass = float(np.clip(best[1][0], amplitude.low, amplitude.high))
     values = {amplitude.name: mass, shape.name: tuple(float(v) for v in best[1][1:])}
-    column = added(np.concatenate([[mass], best[1][1:]])) @ moments
-    return Trace(candidate, values, column[None], "whole", {amplitude.name: mass}, {amplitude.name: 0.0})
+    band = workspace.inertial_band(i, added(np.concatenate([[mass], best[1][1:]])))
+    size, origin = {amplitude.name: mass}, {amplitude.name: 0.0}
+    return Trace(candidate, values, (band,), white, "whole", size, origin)

@@ -6,17 +6,16 @@ evaluated on unfiltered positions, then filtered (a filter does not commute with
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from threading import Lock
 
 import numpy as np
 from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from flexjoint.diagnose.motion import Motion
+from flexjoint.diagnose.recent import Recent
 from flexjoint.effect import Drive, Planned, Signals, Site
 
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
@@ -24,7 +23,7 @@ REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trus
 WIDE = 3.0  # standard deviations of the net torque's noise by which its clip is widened
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
-REMEMBERED = 4e7  # bytes of chains
+REMEMBERED = 2e7  # bytes of chains
 
 
 @dataclass(frozen=True)
@@ -51,9 +50,13 @@ class Chains:
         self.period = motion.readings.period
         self.t = motion.readings.time - motion.readings.start
         self.floating = motion.robot.file.offsets == "per_recording"
-        self._cache: OrderedDict[object, Chain] = OrderedDict()  # the latest last
-        self._lock = Lock()
+        self._recent: Recent[Chain] = Recent()
         self._bases: dict[int, Base] = {}
+        window = motion.filter
+        # what the filter makes of white noise's second derivative; what it takes away, and its integral
+        self._roughness = float(np.sqrt(np.mean((window.omega**2 * window.gain) ** 2)))
+        self._lost, nothing = 1.0 - window.gain, np.zeros_like(self.jomega)
+        self._lost_integral = np.divide(self._lost, self.jomega, out=nothing, where=window.omega > 0)
 
     def base(self, i: int) -> Base:
         if i not in self._bases:
@@ -63,16 +66,7 @@ class Chains:
     def get(self, i: int, effects: Sequence[Planned]) -> Chain:
         """The chain of joint i with these effects of its own at work."""
         key = (i, *(identity(e) for e in effects))
-        with self._lock:
-            if key in self._cache:
-                self._cache.move_to_end(key)
-                return self._cache[key]
-        chain = self._chain(i, effects)
-        with self._lock:
-            self._cache[key] = chain
-            if len(self._cache) * chain.nbytes > REMEMBERED:
-                self._cache.popitem(last=False)
-        return chain
+        return self._recent.get(key, lambda: self._chain(i, effects), REMEMBERED)
 
     def _chain(self, i: int, effects: Sequence[Planned]) -> Chain:
         joint, base, s = self.motion.robot.joints[i], self.base(i), self.jomega
@@ -93,6 +87,8 @@ class Chains:
             torque = self._command(i, at[Site.COMMAND])
             torque_hat = self._filtered(torque)
 
+        # what no effect touches is the same in every chain
+        nominal = drive is joint.drive and not sensed
         signals = Signals(t=self.t, q=q, theta=theta, phi=theta - q, tau_m=torque)
         if effects:
             signals.dtheta = self._time(s * theta_hat) if sensed else base.dtheta
@@ -100,10 +96,12 @@ class Chains:
             signals.dphi = signals.dtheta - signals.dq
         spring_hat = np.zeros_like(theta_hat)
         if not joint.rigid:
-            spring_hat = self._spring(drive, signals, q_hat, theta_hat, at)
+            linear = base.spring_hat if nominal else (drive.K + drive.D * s) * (theta_hat - q_hat)
+            spring_hat = self._spring(drive, signals, linear, at)
         if effects:
-            signals.tau_t = self.motion.rigid.tau[i] if joint.rigid else self._time(spring_hat)
-        motor_hat = torque_hat - (drive.B * s**2 + drive.D_m * s) * theta_hat
+            signals.tau_t = self._transmitted(i, spring_hat)
+        shaft_hat = base.shaft_hat if nominal else (drive.B * s**2 + drive.D_m * s) * theta_hat
+        motor_hat = torque_hat - shaft_hat
         for e in gated:
             motor_hat, spring_hat = self._gated_drive(e, drive, motor_hat, spring_hat, q_hat, theta_hat)
         motor_hat = motor_hat + self._torques(at[Site.MOTOR], signals)
@@ -122,6 +120,13 @@ class Chains:
         if joint.rigid:
             motor_hat, link_hat = motor_hat + link_hat, 0.0
         return Chain(motor_hat, spring_hat, link_hat + np.zeros_like(spring_hat), reading, change)
+
+    def _transmitted(self, i: int, spring_hat: np.ndarray) -> np.ndarray:
+        """(N,) the torque of joint i's transmission."""
+        if self.motion.robot.joints[i].rigid:
+            return self.motion.rigid.tau[i]
+        base = self.base(i)
+        return base.spring if spring_hat is base.spring_hat else self._time(spring_hat)
 
     # ------------------------------------------------------------------ sites
     def _true_readings(self, i: int, sensors: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -161,13 +166,11 @@ class Chains:
         self,
         drive: Drive,
         signals: Signals,
-        q_hat: np.ndarray,
-        theta_hat: np.ndarray,
+        linear: np.ndarray,
         at: dict[Site, list[Planned]],
     ) -> np.ndarray:
-        """Spectrum of s: linear part from the filtered encoders, effects from the unfiltered deflection.
+        """Spectrum of s: `linear` part from the filtered encoders, effects from the unfiltered deflection.
         Sets signals.phi and dphi to what the deflection effects leave (SPRING laws see that)."""
-        linear = (drive.K + drive.D * self.jomega) * (theta_hat - q_hat)
         if not at[Site.DEFLECTION] and not at[Site.SPRING]:
             return linear
         extra = np.zeros_like(signals.phi)
@@ -264,17 +267,15 @@ class Chains:
             level = level + self._since(e, value, np.zeros_like(value))
         window = self.filter
         # what the encoder's noise makes of inertia x acceleration in the net torque
-        slack = WIDE * inertia * encoder * float(np.sqrt(np.mean((window.omega**2 * window.gain) ** 2)))
-        bound = HELD * level + slack
-        lost = 1.0 - window.gain
-        integral = np.divide(lost, self.jomega, out=np.zeros_like(self.jomega), where=window.omega > 0)
+        bound = HELD * level + WIDE * inertia * encoder * self._roughness
         sharp_speed, sharp_net = speed, net
-        for _ in range(FRICTION_ROUNDS):
+        for further in reversed(range(FRICTION_ROUNDS)):
             held = np.clip(sharp_net, -bound, bound)
             friction = np.where(np.abs(sharp_speed) > REST_SPEED, level * np.sign(sharp_speed), held)
             spectrum = window.spectrum(friction)
-            sharp_net = net + self._time(spectrum * lost)
-            sharp_speed = speed - self._time(spectrum * integral) / inertia
+            if further:
+                sharp_net = net + self._time(spectrum * self._lost)
+                sharp_speed = speed - self._time(spectrum * self._lost_integral) / inertia
         return -spectrum * window.gain
 
     # ------------------------------------------------------------------ helpers
@@ -318,7 +319,7 @@ class Base:
     def __init__(self, motion: Motion, i: int) -> None:
         window, readings = motion.filter, motion.readings
         self.q, self.theta, self.tau_t = motion.q[i], motion.theta[i], readings.tau_t[i]
-        self._window = window
+        self._window, self._drive = window, motion.robot.joints[i].drive
         self.driven = bool(np.isfinite(readings.torque[i, 0]))
         self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
         self.torque_hat = window.spectrum(self.torque) * window.gain
@@ -326,6 +327,22 @@ class Base:
         self.theta_hat = window.spectrum(self.theta) * window.gain
         measured = bool(np.isfinite(self.tau_t[0]))
         self.reading = window.spectrum(self.tau_t) * window.gain if measured else np.zeros_like(self.q_hat)
+
+    @cached_property
+    def spring_hat(self) -> np.ndarray:
+        """Spectrum of the torque of the nominal spring."""
+        s = 1j * self._window.omega
+        return np.asarray((self._drive.K + self._drive.D * s) * (self.theta_hat - self.q_hat))
+
+    @cached_property
+    def spring(self) -> np.ndarray:
+        return np.asarray(fft.irfft(self.spring_hat, self._window.size)[: self._window.count])
+
+    @cached_property
+    def shaft_hat(self) -> np.ndarray:
+        """Spectrum of what the nominal motor needs for its own motion."""
+        s = 1j * self._window.omega
+        return np.asarray((self._drive.B * s**2 + self._drive.D_m * s) * self.theta_hat)
 
     @cached_property
     def dq(self) -> np.ndarray:

@@ -97,7 +97,7 @@ def _descend(
     """Values at the nearest minimum of the energy, the residual there and its derivatives."""
     y = workspace.residual(current)
     energy = workspace.energy(y) + _prior(slots, current)
-    damping, jacobian = 1e-3, _jacobian(workspace, current, slots)
+    damping, jacobian = 1e-3, jacobian_of(workspace, current, slots)
     for _ in range(iterations):
         normal, slope = normal_equations(workspace, jacobian, y, slots, current)
         while damping < 1e8:
@@ -112,7 +112,7 @@ def _descend(
         gained = energy - trial_energy
         current, y, energy = trial, trial_y, trial_energy
         damping = max(damping * 0.1, 1e-9)
-        jacobian = _jacobian(workspace, current, slots)
+        jacobian = jacobian_of(workspace, current, slots)
         if gained < CONVERGED + 1e-6 * energy:
             break
     return current, y, jacobian
@@ -132,7 +132,12 @@ def _step(
     return trial
 
 
-def _jacobian(workspace: Workspace, effects: list[Planned], slots: Sequence[Slot]) -> np.ndarray:
+def jacobian_of(workspace: Workspace, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:
+    """(slots, samples) derivatives of the residual, remembered: at another level they are the same."""
+    return workspace.remembered("jacobian", effects, lambda: _jacobian(workspace, effects, slots))
+
+
+def _jacobian(workspace: Workspace, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:
     rows = []
     for slot in slots:
         here = slot.get(effects)
@@ -159,8 +164,7 @@ def normal_equations(
     slots: Sequence[Slot],
     effects: Sequence[Planned],
 ) -> tuple[np.ndarray, np.ndarray]:
-    normal = workspace.product(jacobian, jacobian)
-    slope = workspace.against(jacobian, y)
+    normal, slope = workspace.normal(jacobian, y)
     for k, slot in enumerate(slots):
         value, first = weak_prior(slot, effects)
         normal[k, k] += first**2

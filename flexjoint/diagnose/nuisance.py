@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
-from flexjoint.diagnose.chain import identity
-from flexjoint.diagnose.whitening import Whitening
+from flexjoint.diagnose.whitening import Band, Whitening
 from flexjoint.effect import Drive, Effect, Param, Planned, Site, plan
 from flexjoint.robot import Robot
 
@@ -100,7 +99,6 @@ class Columns:
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.nuisance: list[Nuisance] = []
         self.samples = whitening.time.size * len(balances.rows)
-        self._latest: dict[str, tuple[object, list[np.ndarray]]] = {}
         columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
         if self.robot.file.offsets == "per_recording":
             columns += self._offset_columns()
@@ -143,7 +141,7 @@ class Columns:
             if nominal[0] <= 0:
                 continue
             for direction in inertial_directions(nominal, tolerance):
-                columns.append(self.load_column(self.balances.inertial_torque(i, direction)))
+                columns.append(self._column(self._load_rows(self.balances.inertial_torque(i, direction))))
                 self.nuisance.append(Nuisance("inertial", joint.name, tolerance))
         return columns
 
@@ -160,8 +158,8 @@ class Columns:
                 if param.size > 1 or not value or not np.isfinite(value) or spread == 0:
                     continue
                 moved = e.with_values({param.name: value * (1.0 + spread)})
-                changed = self.balances.change(base, [moved if x is e else x for x in base])
-                columns.append(self.whitening.apply(changed).ravel())
+                changed = self.balances.changed(base, [moved if x is e else x for x in base])
+                columns.append(self.whitening.white(self.whitening.band(changed)).ravel())
                 self.nuisance.append(Nuisance(e.effect.name, e.joint, spread))
         return columns
 
@@ -187,29 +185,26 @@ class Columns:
             self.nuisance.append(Nuisance("link_encoder_offset", joint.name, OFFSET_SPREAD))
         return columns
 
+    def rubbing(self, effects: Sequence[Planned]) -> dict[str, list[Planned]]:
+        """Joints on which dry friction is at work, with all effects of their own."""
+        joints = dict.fromkeys(e.joint for e in effects if e.joint and e.effect.overrides("level"))
+        return {j: [e for e in effects if e.joint == j and e.effect.site is not Site.BODY] for j in joints}
+
     def beside_friction(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
         """Columns (by their number's index) of actuators on whose joints dry friction is at work: a body at
         rest is held against whatever its spring pulls, so that there a stiffness leaves no trace."""
-        joints = dict.fromkeys(e.joint for e in effects if e.joint and e.effect.overrides("level"))
         out: dict[int, np.ndarray] = {}
-        for joint in joints:
-            own = [e for e in effects if e.joint == joint and e.effect.site is not Site.BODY]
-            numbers = [k for k, n in enumerate(self.nuisance) if n.joint == joint and n.name in NUMBERS]
-            key = tuple(identity(e) for e in own)
-            if self._latest.get(joint, (None,))[0] != key:
-                columns = []
-                for k in numbers:
-                    number = self.nuisance[k]
+        for joint, own in self.rubbing(effects).items():
+            for k, number in enumerate(self.nuisance):
+                if number.joint == joint and number.name in NUMBERS:
                     off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: number.spread}
-                    changed = self.balances.change(own, [*own, Planned(DriveDeviation(), joint, off)])
-                    columns.append(self.whitening.apply(changed).ravel())
-                self._latest[joint] = key, columns
-            out |= dict(zip(numbers, self._latest[joint][1], strict=True))
+                    changed = self.balances.changed(own, [*own, Planned(DriveDeviation(), joint, off)])
+                    out[k] = self.whitening.white(self.whitening.band(changed)).ravel()
         return out
 
-    def load_column(self, torque: np.ndarray) -> np.ndarray:
-        """(samples,) whitened trace of a change (n, N) of the rigid-body torques."""
-        return self._column(self._load_rows(torque))
+    def load_band(self, torque: np.ndarray) -> Band:
+        """Trace, before it is whitened, of a change (n, N) of the rigid-body torques."""
+        return self._band(self._load_rows(torque))
 
     def _load_rows(self, torque: np.ndarray) -> dict[tuple[str, int], np.ndarray]:
         """A change (n, N) of the rigid-body torques as it enters the balances."""
@@ -220,12 +215,11 @@ class Columns:
         return out
 
     def _column(self, entries: dict[tuple[str, int], np.ndarray]) -> np.ndarray:
-        spectra = np.zeros((len(self.balances.rows), self.balances.filter.omega.size), dtype=complex)
-        for (balance, joint), spectrum in entries.items():
-            row = self._row(balance, joint)
-            if row is not None:
-                spectra[row] = spectrum
-        return self.whitening.apply(spectra).ravel() if np.any(spectra) else np.zeros(self.samples)
+        return self.whitening.white(self._band(entries)).ravel()
+
+    def _band(self, entries: dict[tuple[str, int], np.ndarray]) -> Band:
+        rows = {self._row(*key): spectrum for key, spectrum in entries.items()}
+        return self.whitening.band({row: spectrum for row, spectrum in rows.items() if row is not None})
 
     def _row(self, balance: str, joint: int) -> int | None:
         for r, row in enumerate(self.balances.rows):

@@ -18,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from flexjoint.diagnose.candidates import Candidate, Trace, traces
 from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnose.whitening import Band
 from flexjoint.effect import Planned
 
 BLOCKS = 16  # time blocks at whose edges an onset is tried
@@ -25,7 +26,7 @@ ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferr
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 2e8  # bytes of the tolerances' columns and of traces that are remembered between scans
 PART = 6  # candidates that a thread takes at a time
-BATCH = 32  # columns whose products are taken together
+BATCH = 16  # columns whose products are taken together
 
 
 @dataclass(frozen=True)
@@ -49,15 +50,30 @@ class Scored:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A trace with its columns (k, rows - first, K), from the first balance on in which it leaves a mark."""
+    """A trace, with its columns not yet whitened: that is quickly done, and they are smaller."""
 
     trace: Trace  # without columns
-    first: int
-    columns: np.ndarray
+    bands: tuple[Band, ...]
+    first: int  # balance in which it leaves a mark
+    sight: float
 
     @property
-    def sight(self) -> float:
-        return float(np.sqrt(np.max(np.sum(self.columns**2, axis=(1, 2)))))
+    def nbytes(self) -> int:
+        return sum(band.nbytes for band in self.bands)
+
+    def columns(self) -> np.ndarray:
+        """(k, rows - first, K) whitened, from the first balance on."""
+        return np.array([self.trace.whitening.white(band)[self.first :] for band in self.bands])
+
+
+@dataclass(frozen=True)
+class _Traced:
+    """A trace of a candidate (by number), its columns (k, rows - first, K), and the fits that it is of."""
+
+    candidate: int
+    kept: _Kept
+    columns: np.ndarray
+    places: tuple[int, ...]
 
 
 class Scanner:
@@ -76,40 +92,63 @@ class Scanner:
 
     def scan(self, current: Fit) -> tuple[Scored, ...]:
         """Best start of every candidate on top of a fitted set, best first."""
-        base = current.workspace.with_nominal(current.effects)
-        taken = {e.key for e in current.effects}
-        against = _Against(current)
+        return self.scans([current])[0]
+
+    def scans(self, currents: Sequence[Fit]) -> list[tuple[Scored, ...]]:
+        """The same on top of each of some fits of one set: traces that they share are made once."""
+        against = [_Against(current) for current in currents]
+        taken = {e.key for e in currents[0].effects}
         # joint by joint: columns that begin at the same balance make one product
         joints = list(dict.fromkeys(c.joint for c in self.candidates))
         waiting = [(k, c) for k, c in enumerate(self.candidates) if c.key not in taken]
         waiting.sort(key=lambda pair: joints.index(pair[1].joint))
         parts = [waiting[k : k + PART] for k in range(0, len(waiting), PART)]
 
-        def scored(part: Sequence[tuple[int, Candidate]]) -> list[tuple[int, Scored]]:
-            return self._scored(part, base, current, against)
+        def scored(part: Sequence[tuple[int, Candidate]]) -> list[dict[int, Scored]]:
+            return self._scored(part, against)
 
         if self.workers > 1:
             with ThreadPoolExecutor(self.workers) as pool:
                 found = list(pool.map(scored, parts))
         else:
             found = [scored(part) for part in parts]
-        best = sorted((pair for part in found for pair in part), key=lambda pair: (-pair[1].removes, pair[0]))
-        return tuple(one for _, one in best)
+        out = []
+        for k in range(len(currents)):
+            best = [pair for part in found for pair in part[k].items()]
+            out.append(tuple(one for _, one in sorted(best, key=lambda pair: (-pair[1].removes, pair[0]))))
+        return out
 
     def _scored(
-        self, part: Sequence[tuple[int, Candidate]], base: Sequence[Planned], current: Fit, against: _Against
-    ) -> list[tuple[int, Scored]]:
-        """The best start of each candidate, with the candidate's number."""
-        best: dict[int, Scored] = {}
-        for batch in _batches((k, kept) for k, c in part for kept in self._kept(c, base, current)):
-            for (k, kept), products in zip(batch, against.tails([kept for _, kept in batch]), strict=True):
-                scored = _score(kept, *products, against.starts)
-                if scored is not None and (k not in best or scored.removes > best[k].removes):
-                    best[k] = scored
-        return list(best.items())
+        self, part: Sequence[tuple[int, Candidate]], against: Sequence[_Against]
+    ) -> list[dict[int, Scored]]:
+        """The best start of each candidate, by the candidate's number, against each of some fits."""
+        best: list[dict[int, Scored]] = [{} for _ in against]
+        for batch in _batches(traced for k, c in part for traced in self._traced(k, c, against)):
+            for place in batch[0].places:
+                products = against[place].tails(batch)
+                for traced, (curvature, force) in zip(batch, products, strict=True):
+                    scored = _score(traced.kept, curvature, force, against[place].starts)
+                    k = traced.candidate
+                    if scored is not None and (
+                        k not in best[place] or scored.removes > best[place][k].removes
+                    ):
+                        best[place][k] = scored
+        return best
 
-    def _kept(self, candidate: Candidate, base: Sequence[Planned], current: Fit) -> Iterator[_Kept]:
+    def _traced(self, k: int, candidate: Candidate, against: Sequence[_Against]) -> Iterator[_Traced]:
+        """The candidate's traces, one per start, for each of some fits."""
         # a trace depends on the effects of its own joint only (a body's is fitted to the residual)
+        alike: dict[object, list[int]] = {}
+        for place, one in enumerate(against):
+            own = tuple(identity(e) for e in one.base if e.joint == candidate.joint)
+            shared = not candidate.effect.overrides("edit_inertial")
+            alike.setdefault(own if shared else place, []).append(place)
+        for places in alike.values():
+            for kept, columns in self._kept(candidate, against[places[0]]):
+                yield _Traced(k, kept, columns, tuple(places))
+
+    def _kept(self, candidate: Candidate, against: _Against) -> Iterator[tuple[_Kept, np.ndarray]]:
+        current, base = against.current, against.base
         workspace, own = current.workspace, [e for e in base if e.joint == candidate.joint]
         rows = len(workspace.balances.rows)
         if candidate.effect.overrides("edit_inertial"):
@@ -117,16 +156,17 @@ class Scanner:
             return
         key = (candidate.key, candidate.words, *(identity(e) for e in own))
         if key in self._traces:
-            yield from self._traces[key]
+            yield from ((kept, kept.columns()) for kept in self._traces[key])
             return
         remembered: list[_Kept] | None = []
+        held = 8 * len(workspace.nuisance) * workspace.samples
         for trace in traces(workspace, candidate, own, current.y):
-            kept = _kept(trace, rows)
-            yield kept
+            kept, columns = _kept(trace, rows)
+            yield kept, columns
             if remembered is not None:
                 remembered.append(kept)
-                if not self._room(kept.columns.nbytes, workspace.J.nbytes):
-                    self._room(-sum(k.columns.nbytes for k in remembered), workspace.J.nbytes)
+                if not self._room(kept.nbytes, held):
+                    self._room(-sum(k.nbytes for k in remembered), held)
                     remembered = None
         if remembered is not None:
             self._traces[key] = remembered
@@ -138,22 +178,24 @@ class Scanner:
             return self._bytes + held <= MEMORY
 
 
-def _kept(trace: Trace, rows: int) -> _Kept:
+def _kept(trace: Trace, rows: int) -> tuple[_Kept, np.ndarray]:
     columns = trace.columns.reshape(len(trace.columns), rows, -1)
-    first = int(np.argmax(np.any(columns, axis=(0, 2))))
-    return _Kept(replace(trace, columns=np.zeros((0, 0))), first, columns[:, first:].copy())
+    first = min((int(band.rows[0]) for band in trace.bands if band.rows.size), default=0)
+    sight = float(np.sqrt(np.max(np.einsum("krt,krt->k", columns, columns))))
+    return _Kept(replace(trace, bands=()), trace.bands, first, sight), columns[:, first:]
 
 
-def _batches(numbered: Iterator[tuple[int, _Kept]]) -> Iterator[list[tuple[int, _Kept]]]:
-    """Neighbours that begin at the same balance, up to BATCH columns at a time."""
-    batch: list[tuple[int, _Kept]] = []
+def _batches(every: Iterator[_Traced]) -> Iterator[list[_Traced]]:
+    """Neighbours of the same fits that begin at the same balance, up to BATCH columns at a time."""
+    batch: list[_Traced] = []
     width = 0
-    for k, kept in numbered:
-        width += len(kept.columns)
-        if batch and (kept.first != batch[0][1].first or width > BATCH):
+    for traced in every:
+        width += len(traced.columns)
+        alike = batch and (traced.kept.first, traced.places) == (batch[0].kept.first, batch[0].places)
+        if batch and (not alike or width > BATCH):
             yield batch
-            batch, width = [], len(kept.columns)
-        batch.append((k, kept))
+            batch, width = [], len(traced.columns)
+        batch.append(traced)
     if batch:
         yield batch
 
@@ -186,21 +228,22 @@ class _Against:
 
     def __init__(self, current: Fit) -> None:
         workspace = current.workspace
+        self.current, self.base = current, workspace.with_nominal(current.effects)
         self.rows = len(workspace.balances.rows)
         time = workspace.time
         even = np.linspace(time[0], time[-1], BLOCKS + 1)[:-1]
         edges = np.unique(np.searchsorted(time, even))
         self.starts = workspace.balances.chains.t[0] + time[edges]
-        fixed, free = len(workspace.J), len(current.tangents)
+        fixed, free = len(workspace.nuisance), len(current.tangents)
         tangents = current.tangents * workspace.weights
         size = np.maximum(np.sqrt(np.sum(tangents**2, axis=1)), 1e-9)[:, None]
         tangents = tangents / size
         y = current.y * workspace.weights
         gram = np.zeros((fixed + free, fixed + free))
         gram[:fixed, :fixed] = workspace.gram
-        pull = workspace.J @ (current.y * workspace.squares)
+        pull = workspace.pull(current.y)
         if free:
-            gram[fixed:, :fixed] = (tangents * workspace.weights) @ workspace.J.T
+            gram[fixed:, :fixed] = workspace.across(tangents * workspace.weights)
             gram[fixed:, fixed:] = tangents @ tangents.T
             gram[:fixed, fixed:] = gram[fixed:, :fixed].T
             # tangents are free; a ridge for rounding, and for numbers without any trace
@@ -211,24 +254,24 @@ class _Against:
         self.squares = workspace.squares.reshape(self.rows, -1)
         ends = [*edges[1:], time.size]
         self.slices = [slice(a, b) for a, b in zip(edges, ends, strict=True)]
-        # what columns are multiplied by, (p, rows, samples) each: the nominal numbers' columns as they are,
-        # for there is no room to copy them; tangents and residual
-        self.fixed = workspace.J.reshape(fixed, self.rows, time.size)
+        # what columns are multiplied by: the nominal numbers' columns, which are not copied for their size;
+        # tangents and residual, (p, rows, samples)
+        self.fixed = workspace.across_part
         free_part = np.concatenate([current.tangents / size, current.y[None]])
         self.free = free_part.reshape(free + 1, self.rows, time.size)
 
-    def tails(self, batch: Sequence[_Kept]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def tails(self, batch: Sequence[_Traced]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Projected curvature and force of each trace's columns, switched on at each block's start. The
         traces begin at the same balance."""
-        first = batch[0].first
+        first = batch[0].kept.first
         own, across = [], []
         for s in self.slices:
-            columns = np.concatenate([kept.columns[:, :, s] for kept in batch])
+            columns = np.concatenate([traced.columns[:, :, s] for traced in batch])
             weighted = columns * self.squares[first:, s]
             own.append(weighted.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T)
             products = [
-                np.hstack([weighted[:, r - first] @ part[:, r, s].T for part in (self.fixed, self.free)])
-                for r in range(first, self.rows)
+                np.hstack([self.fixed(part, r, s), part @ self.free[:, r, s].T])
+                for r, part in enumerate(weighted.transpose(1, 0, 2), start=first)
             ]
             across.append(np.sum(products, axis=0))
         curvature, both = (np.cumsum(np.array(x)[::-1], axis=0)[::-1] for x in (own, across))
@@ -236,8 +279,8 @@ class _Against:
         solved = cho_solve(self.factor, through.reshape(-1, through.shape[2]).T).T.reshape(through.shape)
         force = with_y - through @ self.pulled
         out, start = [], 0
-        for kept in batch:
-            k = slice(start, start + len(kept.columns))
+        for traced in batch:
+            k = slice(start, start + len(traced.columns))
             start = k.stop
             out.append((curvature[:, k, k] - through[:, k] @ solved[:, k].transpose(0, 2, 1), force[:, k]))
         return out

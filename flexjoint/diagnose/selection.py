@@ -78,11 +78,12 @@ def select(
     seen = {_keys(best)}  # a cause may enter at its own level and not stay at that of the set
     while len(best.effects) < MOST_EFFECTS:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
-        scanned = scanner.scan(best)
+        bare = at_noise(best)
+        scanned, *beyond = scanner.scans([best] if bare is None else [best, bare])
         first = first or scanned
         trials = polish(best, scanned)
         found = [f for f in trials if worthwhile(f, best, f.effects[-1])]
-        found = on_one_level([*found, *clearing(scanner, best, trials)])
+        found = on_one_level([*found, *clearing(best, trials, bare, beyond)])
         if not found:
             break
         best = prune(at_own_level(date_onset(choose(found))))
@@ -113,20 +114,30 @@ def at_own_level(result: Fit) -> Fit:
     return result
 
 
-def clearing(scanner: Scanner, best: Fit, trials: Sequence[Fit]) -> list[Fit]:
+def at_noise(best: Fit) -> Fit | None:
+    """The set fitted at the level of the predicted noise; None where no balance is wrong."""
+    workspace = best.workspace
+    if not np.any(workspace.temper / workspace.strain > CLEARED):
+        return None
+    return fit(workspace.at(np.ones_like(workspace.temper)), best.effects)
+
+
+def clearing(
+    best: Fit, trials: Sequence[Fit], bare: Fit | None, scanned: Sequence[tuple[Scored, ...]]
+) -> list[Fit]:
     """Sets of one more effect that leave a tenth of the variance in the balances that are wrong, each at the
-    level that it leaves. At the level of `best`, at which hardly anything counts, they need not show."""
-    bare = fit(best.workspace.at(np.ones_like(best.workspace.temper)), best.effects)
+    level that it leaves. At the level of `best`, at which hardly anything counts, they need not show: the
+    scan of the `bare` set at the predicted noise is looked at, too."""
+    if bare is None:
+        return []
     left = best.workspace.temper / best.workspace.strain
     wrong = left > CLEARED
-    if not np.any(wrong):
-        return []
 
     def clears(levels: np.ndarray) -> bool:
         return bool(np.mean(np.log(left[wrong] / levels[wrong])) >= np.log(CLEARED))
 
     out = []
-    for trial in (*trials, *polish(bare, scanner.scan(bare))):
+    for trial in (*trials, *(one for scan in scanned for one in polish(bare, scan))):
         if clears(bare.workspace.levels(trial.y)):
             settled = at_own_level(trial)
             without = fit(settled.workspace, best.effects)

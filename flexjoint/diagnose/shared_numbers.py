@@ -37,7 +37,7 @@ class SharedNumbers:
     def surplus(self, residuals: Sequence[np.ndarray]) -> float:
         """Energy of residuals (samples,), one a recording, above the sum of what each has with deviations of
         its own (`Workspace.energy`)."""
-        pulls = [w.J @ (y * w.squares) for w, y in zip(self.workspaces, residuals, strict=True)]
+        pulls = [w.pull(y) for w, y in zip(self.workspaces, residuals, strict=True)]
         pull = self._gathered(pulls)
         own = sum(
             float(g @ w.deviations(y)) for g, w, y in zip(pulls, self.workspaces, residuals, strict=True)
@@ -58,8 +58,8 @@ class SharedNumbers:
             prior, slope = normal_equations(w, 0.0 * fit.tangents, fit.y, fit.slots, fit.effects)
             normal += weighted @ fit.tangents.T + prior
             wanted += prior @ numbers - slope - weighted @ at_zero
-            across[:, place] += weighted @ w.J.T
-            pulls.append(w.J @ (at_zero * w.squares))
+            across[:, place] += w.across(weighted)
+            pulls.append(w.pull(at_zero))
         normal -= across @ cho_solve(self.factor, across.T)
         wanted += across @ cho_solve(self.factor, self._gathered(pulls))
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))

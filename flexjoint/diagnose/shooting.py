@@ -374,5 +374,5 @@ def _inertial_numbers(robot: Robot, workspace: Workspace) -> list[Number]:
     for at, i in enumerate(joints):
         directions = inertial_directions(workspace.motion.rigid.inertial[i], tolerance)
         change[10 * at : 10 * at + 10, 10 * i : 10 * i + 10] = directions
-    energy, axes = np.linalg.eigh(workspace.J[places] @ workspace.J[places].T)
+    energy, axes = np.linalg.eigh(workspace.bare_gram[np.ix_(places, places)])
     return [Number("", 1.0, tuple(axes[:, k] @ change)) for k in np.flatnonzero(energy > VISIBLE)[::-1]]

@@ -226,14 +226,14 @@ def _hidden_by_refit(selection: Selection, k: int) -> bool:
     best = selection.best
     workspace = best.workspace
     without = [e for i, e in enumerate(best.effects) if i != k]
-    free = len(workspace.J)
+    free = len(workspace.nuisance)
     if not free:
         return False
     rest = workspace.residual(without)
     y, normal = rest * workspace.weights, workspace.gram - np.eye(free)
     ridge = 1e-6 * np.trace(normal) / free * np.eye(free)
-    pull = np.linalg.solve(normal + ridge, workspace.J @ (rest * workspace.squares))
-    absorbed = y - (pull @ workspace.J) * workspace.weights
+    pull = np.linalg.solve(normal + ridge, workspace.pull(rest))
+    absorbed = y - workspace.along(pull) * workspace.weights
     own = best.y * workspace.weights
     here, refit = float(y @ y - own @ own), float(y @ y - absorbed @ absorbed)
     return refit > 0.9 * here > 0.0

@@ -8,8 +8,9 @@ The whitened residual of a healthy robot then has energy 1 per degree of freedom
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import fft
@@ -23,8 +24,22 @@ from flexjoint.robot import Joint
 
 CUT_GAIN = 0.25  # the band ends where the Gaussian filter passes this share
 ROUNDING = 1e-11
+CHUNK = 512  # frequencies at a time
 UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
 FLOOR = 6e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
+
+
+@dataclass(frozen=True)
+class Band:
+    """What of some balances lies in the whitened band: much smaller than their whitened series, as a balance
+    leaves a mark in all that come after it."""
+
+    rows: np.ndarray  # (k,) ascending
+    spectra: np.ndarray  # (k, F_band)
+
+    @property
+    def nbytes(self) -> int:
+        return self.spectra.nbytes
 
 
 @dataclass(frozen=True)
@@ -40,22 +55,44 @@ class Whitening:
     time: np.ndarray  # their times from the start of the recording [s]
     freedom: float  # degrees of freedom per sample: balances minus missing positions
     scale: float
-    deviation: np.ndarray  # (m,) predicted noise of each balance [N m], filtered
+    noise: Noise
+    floor: np.ndarray  # (m,) numerical error of each balance [N m], white in the band
+
+    @cached_property
+    def deviation(self) -> np.ndarray:
+        """(m,) standard deviation of the filtered balances' noise [N m], beyond the band too (spectra are
+        smooth: every eighth bin will do)."""
+        window = self.noise.balances.filter
+        omega, gain = window.omega[::8], window.gain[::8]
+        transfer, extra = self.noise.at(omega)
+        own = np.abs(transfer) ** 2 @ self.noise.variances + np.einsum("faa->fa", extra).real
+        return np.asarray(np.sqrt(np.mean(own * (gain**2)[:, None], axis=0) + self.floor**2))
 
     def apply(self, spectra: np.ndarray) -> np.ndarray:
         """(m, F) -> (m, K): whitened series at the usable samples."""
-        band, used = self.taper.size, np.flatnonzero(np.any(spectra, axis=1))
-        white = np.zeros((len(spectra), self.keep.size))
+        return self.white(self.band(dict(enumerate(spectra))))
+
+    def band(self, spectra: Mapping[int, np.ndarray]) -> Band:
+        """What of some balances' spectra (F,), by row, is whitened."""
+        used = np.array([row for row in sorted(spectra) if np.any(spectra[row])], dtype=int)
         if not used.size:
-            return white
+            return Band(used, np.zeros((0, self.taper.size), dtype=complex))
         # what lies beyond edges and gaps is cut off first: the whitening must not smear it
-        series = fft.irfft(spectra[used], self.size, axis=-1) * self.window
-        inside = fft.rfft(series, axis=-1)[:, :band] * self.taper
-        first = int(used[0])
-        mixed = np.zeros((len(spectra) - first, band), dtype=complex)
-        for row, spectrum in zip(used, inside, strict=True):
+        series = fft.irfft(np.array([spectra[row] for row in used]), self.size, axis=-1)
+        series *= self.window
+        return Band(used, fft.rfft(series, axis=-1)[:, : self.taper.size] * self.taper)
+
+    def white(self, band: Band) -> np.ndarray:
+        """(m, K): whitened series at the usable samples."""
+        white = np.zeros((len(self.matrix), self.keep.size))
+        if not band.rows.size:
+            return white
+        first = int(band.rows[0])
+        mixed = np.zeros((len(white) - first, self.taper.size), dtype=complex)
+        for row, spectrum in zip(band.rows, band.spectra, strict=True):
             mixed[row - first :] += self.matrix[row:, row] * spectrum
-        white[first:] = fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale
+        series = fft.irfft(mixed, self.length, axis=-1)
+        np.multiply(series[:, self.keep], self.scale, out=white[first:])
         return white
 
 
@@ -67,16 +104,17 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     length = 2 * fft.next_fast_len(int(np.searchsorted(-window.gain, -CUT_GAIN)) - 1, real=True)
     band = length // 2 + 1
     omega, gain = window.omega[:band], window.gain[:band]
-    transfer, variances, extra = _transfer(balances, omega, effects)
-    spectrum = np.einsum("fak,k,fbk->fab", transfer, variances, transfer.conj()) + extra
-    spectrum = spectrum * (gain**2)[:, None, None]
+    noise, floor = _noise(balances, effects), FLOOR * torque_scale
     rows = range(len(balances.rows))
-    # the numerical floor is white: spread over the whole sampled band like any sensor's noise
-    spectrum[:, rows, rows] += (FLOOR * torque_scale) ** 2
-    own = np.einsum("faa->fa", spectrum).real
-    spectrum[:, rows, rows] += ROUNDING * own  # balances that share one noise are nearly dependent
-    factor = np.linalg.cholesky(spectrum)
-    matrix = np.ascontiguousarray(np.moveaxis(np.linalg.inv(factor), 0, -1))
+    matrix = np.empty((len(rows), len(rows), band), dtype=complex)
+    for begin in range(0, band, CHUNK):
+        part = slice(begin, begin + CHUNK)
+        spectrum = noise.spectrum(omega[part], gain[part])
+        # the numerical floor is white: spread over the whole sampled band like any sensor's noise
+        spectrum[:, rows, rows] += floor**2
+        own = np.einsum("faa->fa", spectrum).real
+        spectrum[:, rows, rows] += ROUNDING * own  # balances that share one noise are nearly dependent
+        matrix[:, :, part] = np.moveaxis(np.linalg.inv(np.linalg.cholesky(spectrum)), 0, -1)
     edge = int(0.85 * band)
     taper = np.ones(band)
     taper[edge:] = 0.5 * (1.0 + np.cos(np.pi * np.arange(band - edge) / max(1, band - edge)))
@@ -99,18 +137,9 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
         times[keep],
         len(balances.rows) - len(balances.motion.missing),
         scale,
-        _deviation(balances, effects, torque_scale),
+        noise,
+        floor,
     )
-
-
-def _deviation(balances: Balances, effects: Sequence[Planned], torque_scale: np.ndarray) -> np.ndarray:
-    """(m,) standard deviation of the filtered balances' noise, beyond the band too (spectra are smooth: every
-    eighth bin will do)."""
-    window = balances.filter
-    omega, gain = window.omega[::8], window.gain[::8]
-    transfer, variances, extra = _transfer(balances, omega, effects)
-    own = np.abs(transfer) ** 2 @ variances + np.einsum("faa->fa", extra).real
-    return np.sqrt(np.mean(own * (gain**2)[:, None], axis=0) + (FLOOR * torque_scale) ** 2)
 
 
 def _window(balances: Balances) -> np.ndarray:
@@ -124,28 +153,54 @@ def _window(balances: Balances) -> np.ndarray:
     return np.clip(np.convolve(padded, flank / flank.sum(), mode="same") * 2.0, 0.0, 1.0)
 
 
-def _transfer(
-    balances: Balances, omega: np.ndarray, effects: Sequence[Planned]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """T (F, m, channels), variances (channels,), and the part that a varying mass matrix adds (F, m, m)."""
+@dataclass(frozen=True)
+class Noise:
+    """What sensor noise makes of balances that are linearised about the mean of a motion; n joints."""
+
+    balances: Balances
+    drives: tuple[Drive, ...]
+    load: tuple[np.ndarray, np.ndarray, np.ndarray]  # (n, n) torques by q, q' and q''
+    variances: np.ndarray  # (4 n,) of q, theta, tau_t and the torque
+    spread: Mapping[int, np.ndarray]  # (n, n) covariance of the mass matrix's columns along the motion
+
+    def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """T (F, m, channels), and the part (F, m, m) that a varying mass matrix adds."""
+        balances = self.balances
+        n, m, s = len(self.drives), len(balances.rows), 1j * omega
+        by_q, by_v, mass = self.load
+        transfer = np.zeros((omega.size, m, 4 * n), dtype=complex)
+        columns = tuple(k * n + np.arange(n) for k in range(4))
+        q, theta = columns[:2]
+        links = [joint.rigid for joint in balances.motion.robot.joints]
+        for r, row in enumerate(balances.rows):
+            drive = self.drives[row.joint]
+            for column, entry in _row_transfer(row, drive, links[row.joint], s, columns):
+                transfer[:, r, column] = entry
+            if row.balance == LINK or (row.balance == MOTOR and links[row.joint]):
+                for k in range(n):
+                    load = by_q[row.joint, k] + by_v[row.joint, k] * s + mass[row.joint, k] * s**2
+                    transfer[:, r, theta[k] if links[k] else q[k]] -= load
+        extra = np.zeros((omega.size, m, m), dtype=complex)
+        rows = {row.joint: r for r, row in enumerate(balances.rows) if row.balance == LINK}
+        for k, covariance in self.spread.items():
+            for i, ri in rows.items():
+                for j, rj in rows.items():
+                    extra[:, ri, rj] += self.variances[q[k]] * covariance[i, j] * omega**4
+        return transfer, extra
+
+    def spectrum(self, omega: np.ndarray, gain: np.ndarray) -> np.ndarray:
+        """(F, m, m) of the balances, filtered with this gain (F,)."""
+        transfer, extra = self.at(omega)
+        spread = (transfer * self.variances) @ transfer.conj().swapaxes(1, 2)
+        return np.asarray((spread + extra) * (gain**2)[:, None, None])
+
+
+def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
     robot, readings, rigid = balances.motion.robot, balances.motion.readings, balances.motion.rigid
-    n, m = len(robot.joints), len(balances.rows)
-    s = 1j * omega
-    used = readings.valid
+    n, used = len(robot.joints), readings.valid
     inertias = rigid.mass + _added_mass(balances, effects)
     by_q, by_v, mass = (x[used].mean(axis=0) for x in (rigid.by_q, rigid.by_v, inertias))
-    transfer = np.zeros((omega.size, m, 4 * n), dtype=complex)
-    q, theta, tau_t, torque = (k * n + np.arange(n) for k in range(4))
-    links = [joint.rigid for joint in robot.joints]
-    columns = (q, theta, tau_t, torque)
-    for r, row in enumerate(balances.rows):
-        drive = _drive(robot.joints[row.joint], effects)
-        for column, entry in _row_transfer(row, drive, links[row.joint], s, columns):
-            transfer[:, r, column] = entry
-        if row.balance == LINK or (row.balance == MOTOR and links[row.joint]):
-            for k in range(n):
-                load = by_q[row.joint, k] + by_v[row.joint, k] * s + mass[row.joint, k] * s**2
-                transfer[:, r, theta[k] if links[k] else q[k]] -= load
+    q, theta, tau_t = (k * n + np.arange(n) for k in range(3))
     noise = np.stack([readings.noise[name] for name in ("q", "theta", "tau_t", "torque")]).ravel()
     largest = max(float(np.max(noise[: 2 * n])), 1e-7)
     variances = noise**2
@@ -156,18 +211,15 @@ def _transfer(
                 variances[index] /= sensor_slope(e) ** 2
     for channel, i in balances.motion.missing:
         variances[q[i] if channel == "q" else theta[i]] = (UNBOUNDED * largest) ** 2
-    extra = np.zeros((omega.size, m, m), dtype=complex)
-    rows = {row.joint: r for r, row in enumerate(balances.rows) if row.balance == LINK}
     unmeasured = {i for channel, i in balances.motion.missing if channel == "q"}
-    spread = inertias[used] - mass
-    for k in range(n):
-        if k in unmeasured or links[k]:
-            continue
-        covariance = np.einsum("ti,tj->ij", spread[:, :, k], spread[:, :, k]) / max(1, spread.shape[0])
-        for i, ri in rows.items():
-            for j, rj in rows.items():
-                extra[:, ri, rj] += variances[q[k]] * covariance[i, j] * omega**4
-    return transfer, variances, extra
+    off = inertias[used] - mass
+    spread = {
+        k: np.einsum("ti,tj->ij", off[:, :, k], off[:, :, k]) / max(1, len(off))
+        for k, joint in enumerate(robot.joints)
+        if k not in unmeasured and not joint.rigid
+    }
+    drives = tuple(_drive(joint, effects) for joint in robot.joints)
+    return Noise(balances, drives, (by_q, by_v, mass), variances, spread)
 
 
 def _row_transfer(

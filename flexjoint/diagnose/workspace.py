@@ -9,7 +9,8 @@ so that what the tolerances can explain is explained first, and only what they c
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
@@ -17,9 +18,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnose import whitening
 from flexjoint.diagnose.balances import TwinBalances
+from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.motion import reconstruct
 from flexjoint.diagnose.nuisance import Columns, as_effects
+from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.signals import denoised, prepare
+from flexjoint.diagnose.whitening import Band
 from flexjoint.effect import Planned, Signals
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
@@ -29,7 +33,21 @@ NOISY = 3.0  # temper above which sensor noise no longer decides anything
 TEMPER_ROUNDS = 12
 TELLING = 100.0  # energy that must remain, for a cause to be able to earn its price
 FEWEST = 100  # independent samples that a recording is credited with at least
+REMEMBERED = 3e7  # bytes of residuals and their derivatives, and of columns that friction moves
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
+
+
+@dataclass(frozen=True)
+class _Moves:
+    """By how much dry friction changes the columns of some nominal numbers, and all products then."""
+
+    numbers: np.ndarray  # (m,) indices
+    change: np.ndarray  # (m, samples)
+    grams: np.ndarray  # (rows, k, k)
+
+    @property
+    def nbytes(self) -> int:
+        return self.change.nbytes + self.grams.nbytes
 
 
 class Workspace:
@@ -48,6 +66,8 @@ class Workspace:
         self.freedom = self.time.size * self.whitening.freedom
         self.nominal = tuple(self.robot.effects)
         self._signals: dict[str | None, Signals] = {}
+        self._recent: Recent[np.ndarray] = Recent()
+        self._moves: Recent[_Moves] = Recent()
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
         self._as_effects = np.array([n.held_as_effect for n in self.nuisance], dtype=bool)
@@ -60,10 +80,11 @@ class Workspace:
 
     @property
     def J(self) -> np.ndarray:
-        """(numbers, samples) whitened columns of the nominal numbers, one prior deviation each."""
+        """(numbers, samples) whitened columns of the nominal numbers, one prior deviation each. By far the
+        largest array there is, and a copy where friction moves some: see `pull`, `across` and `along`."""
         if not len(self._moved):
             return self._plain
-        out = self._plain.copy()  # which is not kept: it is by far the largest array there is
+        out = self._plain.copy()
         out[self._moved] += self._move
         return out
 
@@ -77,11 +98,11 @@ class Workspace:
             out[row] = part @ part.T
         return out
 
-    def _moved_grams(self) -> np.ndarray:
-        """(rows, k, k) the same of the columns where some are moved from the plain ones."""
-        rows, at = len(self.balances.rows), self._moved
+    def _moved_grams(self, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """(rows, k, k) the same where those of some numbers are others."""
+        rows = len(self.balances.rows)
         plain = self._plain.reshape(len(self._plain), rows, self.time.size)
-        moved = (self._plain[at] + self._move).reshape(len(at), rows, self.time.size)
+        moved = columns.reshape(len(at), rows, self.time.size)
         out = self._plain_grams.copy()
         for row in range(rows):
             part = moved[:, row] * self.used
@@ -93,10 +114,18 @@ class Workspace:
 
     def _weigh(self) -> None:
         # J is never stored weighted, for its size
-        self.weights = np.outer(1.0 / np.sqrt(self.temper), self.used).ravel()
-        self.squares = np.outer(1.0 / self.temper, self.used).ravel()
         self.gram = np.tensordot(1.0 / self.temper, self._grams, 1) + np.eye(len(self._plain))
         self._gram = cho_factor(self.gram)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(samples,) by which a residual is multiplied at these variances; 0 where it is not used."""
+        return np.outer(1.0 / np.sqrt(self.temper), self.used).ravel()
+
+    @property
+    def squares(self) -> np.ndarray:
+        """(samples,) squares of the weights."""
+        return np.outer(1.0 / self.temper, self.used).ravel()
 
     def at(self, temper: np.ndarray, strain: float = 1.0) -> Workspace:
         """The same workspace with each balance's variance taken as `temper` (rows,) times the predicted
@@ -109,25 +138,32 @@ class Workspace:
     def about(self, effects: Sequence[Planned]) -> Workspace:
         """The same workspace with the nominal numbers' columns taken where these effects, beyond the nominal
         model's, are at work: what dry friction holds at rest follows the springs."""
-        changed = self._columns.beside_friction(self.with_nominal(effects))
-        if not changed and not len(self._moved):
+        every = self.with_nominal(effects)
+        rubbing = self._columns.rubbing(every)
+        if not rubbing and not len(self._moved):
             return self
         other = copy.copy(self)
-        other._moved = np.array(list(changed), dtype=int)
-        other._move = (
-            np.array(list(changed.values())).reshape(len(changed), self.samples) - self._plain[other._moved]
-        )
-        other._grams = other._moved_grams() if changed else self._plain_grams
+        key = tuple(tuple(identity(e) for e in own) for own in rubbing.values())
+        moves = self._moves.get(key, lambda: self._moves_by(every), REMEMBERED)
+        other._moved, other._move, other._grams = moves.numbers, moves.change, moves.grams
         other._weigh()
         return other
+
+    def _moves_by(self, every: Sequence[Planned]) -> _Moves:
+        changed = self._columns.beside_friction(every)
+        numbers = np.array(list(changed), dtype=int)
+        columns = np.array(list(changed.values())).reshape(len(changed), self.samples)
+        change = columns - self._plain[numbers]
+        return _Moves(numbers, change, self._moved_grams(numbers, columns) if changed else self._plain_grams)
 
     def only(self, used: np.ndarray) -> Workspace:
         """The same workspace with only some samples (bool, as many as `time`) counted."""
         other = copy.copy(self)
         other.used = used.astype(float)
         other._plain_grams = other._grams = other._grams_of_rows()
+        other._moves = Recent()
         if len(self._moved):
-            other._grams = other._moved_grams()
+            other._grams = other._moved_grams(self._moved, self._plain[self._moved] + self._move)
         other._weigh()
         return other
 
@@ -171,28 +207,42 @@ class Workspace:
 
         Effects that change what noise makes of a balance (an inertia, a stiffness, a gain, a late sensor)
         enter through their trace on the denoised recording: a fit must not be drawn towards numbers that
-        shrink a balance, and its noise with it (errors in variables; Fuller 1987)."""
+        shrink a balance, and its noise with it (errors in variables; Fuller 1987). Remembered: it is the same
+        at any level, and made of the nominal model's by what changes, joint by joint."""
+        return self.remembered("residual", extra, lambda: self._residual(extra))
+
+    def _residual(self, extra: Sequence[Planned]) -> np.ndarray:
+        if not extra:
+            return self.whitened(self.nominal)
         every, loud = self.with_nominal(extra), self._loud(extra)
-        y = self.whitened(loud)
-        return y if len(loud) == len(every) else y + self._quiet_change(loud, every)
+        change = self.balances.changed(self.nominal, loud)
+        if len(loud) < len(every):
+            _add(change, self.balances.quiet.changed(loud, every))
+        return self.residual([]) + self.whitening.white(self.whitening.band(change)).ravel()
+
+    def remembered(self, what: str, effects: Sequence[Planned], make: Callable[[], np.ndarray]) -> np.ndarray:
+        """An array that depends on the effects beyond the nominal model's alone. Not to be written on."""
+        return self._recent.get((what, *(identity(e) for e in effects)), make, REMEMBERED)
 
     def moved(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
         """(samples,) residual(other) - residual(extra), at the cost of the joints that differ."""
+        return self.whitening.white(self.moved_band(extra, other)).ravel()
+
+    def moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
+        """The same before it is whitened."""
         a, b = self._loud(extra), self._loud(other)
-        change = self.whitening.apply(self.balances.change(a, b)).ravel()
+        change = self.balances.changed(a, b)
         every_a, every_b = self.with_nominal(extra), self.with_nominal(other)
         if len(a) < len(every_a) or len(b) < len(every_b):
-            change = change + self._quiet_change(every_a, every_b) - self._quiet_change(a, b)
-        return change
+            _add(change, self.balances.quiet.changed(every_a, every_b))
+            _add(change, self.balances.quiet.changed(a, b), -1.0)
+        return self.whitening.band(change)
 
     def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
         kept = [e for e in extra if not whitening.moves_noise(e)]
         replaced = {e.key for e in extra}
         return [e for e in self.nominal if e.key not in replaced or whitening.moves_noise(e)] + kept
-
-    def _quiet_change(self, base: Sequence[Planned], effects: Sequence[Planned]) -> np.ndarray:
-        return self.whitening.apply(self.balances.quiet.change(base, effects)).ravel()
 
     def with_nominal(self, extra: Sequence[Planned]) -> list[Planned]:
         """The nominal model's effects with these added; one that it lists already is replaced."""
@@ -202,15 +252,29 @@ class Workspace:
     # ------------------------------------------------------------------ inner products
     def pull(self, y: np.ndarray) -> np.ndarray:
         """(numbers,) how a residual y pulls at the nominal numbers: J W y."""
-        return self._across((y * self.squares)[None])[0]
+        return self.across((y * self.squares)[None])[0]
 
-    def _across(self, a: np.ndarray) -> np.ndarray:
+    @property
+    def bare_gram(self) -> np.ndarray:
+        """(numbers, numbers) J J' of the samples that are used, at the predicted noise."""
+        return np.asarray(np.sum(self._grams, axis=0))
+
+    def across(self, a: np.ndarray) -> np.ndarray:
         """(k, numbers) a J' of columns a (k, samples)."""
         out = a @ self._plain.T
         out[:, self._moved] += a @ self._move.T
         return out
 
-    def _along(self, d: np.ndarray) -> np.ndarray:
+    def across_part(self, a: np.ndarray, row: int, part: slice) -> np.ndarray:
+        """(k, numbers) the same of one balance's part of the record, a (k, size of the part)."""
+        rows = len(self.balances.rows)
+        plain, move = (x.reshape(len(x), rows, self.time.size) for x in (self._plain, self._move))
+        out = a @ plain[:, row, part].T
+        if len(self._moved):
+            out[:, self._moved] += a @ move[:, row, part].T
+        return out
+
+    def along(self, d: np.ndarray) -> np.ndarray:
         """(..., samples) d J of deviations d (..., numbers)."""
         return d @ self._plain + d[..., self._moved] @ self._move
 
@@ -238,18 +302,25 @@ class Workspace:
 
     def _linear_part(self, pull: np.ndarray) -> np.ndarray:
         """(samples,) trace of the deviations that `as_effects` does not make effects of."""
-        return self._along(np.where(self._as_effects, 0.0, pull))
+        return self.along(np.where(self._as_effects, 0.0, pull))
 
     def moved_part(self, pull: np.ndarray) -> np.ndarray:
         """(samples,) trace, to first order, of the deviations that `as_effects` makes effects of."""
-        return self._along(np.where(self._as_effects, pull, 0.0))
+        return self.along(np.where(self._as_effects, pull, 0.0))
 
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Q between columns a (k, samples) and b (l, samples): (k, l)."""
         weighted = a * self.squares
-        by_a = self._across(weighted)
-        by_b = by_a if b is a else self._across(b * self.squares)
+        by_a = self.across(weighted)
+        by_b = by_a if b is a else self.across(b * self.squares)
         return weighted @ b.T - by_a @ cho_solve(self._gram, by_b.T)
+
+    def normal(self, a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Q among columns a (k, samples), (k, k), and with a residual y (samples,), (k,): `product` and
+        `against` at once, for every walk through the nominal numbers' columns takes time."""
+        both = np.concatenate([a, y[None]])
+        products = self.product(both, both)
+        return products[:-1, :-1], products[:-1, -1]
 
     def against(self, a: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(k,) Q between columns a (k, samples) and a residual y (samples,)."""
@@ -265,11 +336,11 @@ class Workspace:
 
     def rest(self, y: np.ndarray) -> np.ndarray:
         """(samples,) what the nominal numbers leave of a residual."""
-        return y - self._along(self.deviations(y))
+        return y - self.along(self.deviations(y))
 
     def project(self, a: np.ndarray) -> np.ndarray:
         """Columns a (k, samples) with what the nominal numbers can explain of them taken out."""
-        return a - self._along(cho_solve(self._gram, self._across(a * self.squares).T).T)
+        return a - self.along(cho_solve(self._gram, self.across(a * self.squares).T).T)
 
     @property
     def noise_energy(self) -> float:
@@ -311,9 +382,15 @@ class Workspace:
         drive = np.sqrt(np.mean(np.where(np.isfinite(torque), torque, 0.0) ** 2, axis=1))
         return np.maximum(np.maximum(load, drive), 1e-6)
 
-    def inertial_column(self, i: int, change: np.ndarray) -> np.ndarray:
-        """(samples,) whitened trace of a change (10,) of the inertial parameters of joint i's link."""
-        return self._columns.load_column(self.balances.quiet.inertial_torque(i, change))
+    def inertial_band(self, i: int, change: np.ndarray) -> Band:
+        """Trace, before it is whitened, of a change (10,) of the inertial parameters of joint i's link."""
+        return self._columns.load_band(self.balances.quiet.inertial_torque(i, change))
+
+
+def _add(spectra: dict[int, np.ndarray], more: dict[int, np.ndarray], sign: float = 1.0) -> None:
+    """Add spectra by row, in place."""
+    for row, spectrum in more.items():
+        spectra[row] = spectra.get(row, 0.0) + sign * spectrum
 
 
 def balances_of(robot: Robot, recording: Recording) -> TwinBalances:
