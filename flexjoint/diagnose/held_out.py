@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from flexjoint.compare import Comparison, compare
 from flexjoint.diagnose.fit import Fit, fit, shifts
 from flexjoint.diagnose.selection import Selection
+from flexjoint.diagnose.verdict import without
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Gain
 from flexjoint.effect import Planned
@@ -69,11 +69,8 @@ def confirmed(
         if not worse:
             break
         dropped = worse[-1]
-        keep = [k for k, e in enumerate(selection.best.effects) if e is not dropped]
-        best = fit(selection.best.workspace, [selection.best.effects[k] for k in keep])
-        rivals = tuple(selection.rivals[k] for k in keep)
-        trial = replace(selection, best=best, rivals=rivals)
-        again = comparison(robot, recording, workspace, best, measured)
+        trial = without(selection, dropped)
+        again = comparison(robot, recording, workspace, trial.best, measured)
         if again is None or _size(again, dropped.joint) > 0.95 * _size(measured, dropped.joint):
             break
         notes.append(f"{dropped} would make the balance smaller but the simulation worse: not named")

@@ -187,7 +187,7 @@ class Refinement:
         numbers that the recording does not show at all."""
         curvature, slope = self._curvature(point, used), self._slope(point, used)
         free = np.ones(self.k + self.d, dtype=bool)
-        free[: self.k] = np.diag(curvature)[: self.k] * (self.high - self.low) ** 2 > 1.0
+        free[: self.k] = np.diag(curvature)[: self.k] > (self.high - self.low) ** -2.0
         while True:
             step = np.zeros(self.k + self.d)
             step[free] = -self._inverse(curvature[np.ix_(free, free)]) @ slope[free]

@@ -37,9 +37,14 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
     notes: list[str] = []
     while selection.best.effects:
         best = selection.best
+        shrunk = next((e for e in best.effects if degenerate(e)), None)
+        if shrunk is not None:
+            why = "a number of its law is at its bound, where it is another law or none"
+            notes.append(f"{shrunk} would make the balance smaller, but {why}: not named")
+            selection = without(selection, shrunk)
+            continue
         certain = [
-            0.0 if degenerate(e) else certainty(best, e, std)
-            for e, std in zip(best.effects, standard_errors(best), strict=True)
+            certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
         ]
         worst = int(np.argmin(certain))
         if certain[worst] >= SURE:
