@@ -197,8 +197,8 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
 
 def material(trial: Fit, added: Planned, earned: float) -> bool:
     """Whether an effect's torque is beyond the tolerance for what a model does not hold. That tolerance
-    stands for errors of the model; where noise alone is left there are none, and next to none where the effect
-    clears the balances that it touches: smaller effects count there that are beyond doubt."""
+    stands for errors of the model; where noise alone is left there are none, and next to none where the
+    effect clears the balances that it touches: smaller effects count there that are beyond doubt."""
     if tolerated(trial.workspace, added):
         return False
     shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))

@@ -23,6 +23,7 @@ from flexjoint.robot import Joint
 CUT_GAIN = 0.25  # the band ends where the Gaussian filter passes this share
 ROUNDING = 1e-11
 UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
+EDGE_SECONDS = 0.06  # beside an edge or gap that do not count: whitening remembers what is cut off there
 FLOOR = 6e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
 
 
@@ -86,7 +87,7 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     nearest = np.rint(times / balances.motion.readings.period).astype(int)
     inside = nearest < window.count
     usable = np.zeros(length, dtype=bool)
-    usable[inside] = balances.motion.readings.valid[nearest[inside]]
+    usable[inside] = _inner(balances)[nearest[inside]]
     keep = np.flatnonzero(usable)
     return Whitening(
         matrix,
@@ -110,6 +111,15 @@ def _deviation(balances: Balances, effects: Sequence[Planned], torque_scale: np.
     transfer, variances, extra = _transfer(balances, omega, effects)
     own = np.abs(transfer) ** 2 @ variances + np.einsum("faa->fa", extra).real
     return np.sqrt(np.mean(own * (gain**2)[:, None], axis=0) + (FLOOR * torque_scale) ** 2)
+
+
+def _inner(balances: Balances) -> np.ndarray:
+    """(N,) usable samples away from edges and gaps; all of them, where that would leave less than half."""
+    valid, period = balances.motion.readings.valid, balances.motion.readings.period
+    reach = int(np.ceil(EDGE_SECONDS / period))
+    near = np.convolve(~valid, np.ones(2 * reach + 1), mode="same") > 0.5
+    inner = valid & ~near
+    return inner if 2 * np.sum(inner) >= np.sum(valid) else valid
 
 
 def _window(balances: Balances) -> np.ndarray:
