@@ -97,14 +97,19 @@ def diagnose(
         explained = leftover.explained(best, residuals)
         gains = held_out.gains(workspace, best)
         found = verdict.findings(selection, gains, explained, spread)
-        doubtful = verdict.improbable(found)
+        doubtful, why = verdict.improbable(found), "something like {} would help, but others fit as well"
+        if not doubtful:
+            found, estimation, told = _estimated(robot, recordings, best, found, refine, report)
+            doubtful, why = (
+                verdict.vanishing(best, found),
+                "{} has no size in the simulation that could be told",
+            )
         if not doubtful:
             break
         for finding in doubtful:
             selection = verdict.without(selection, finding.planned)
-            notes += (f"something like {finding.planned} would help, but others fit as well: not named",)
+            notes += (f"{why.format(finding.planned)}: not named",)
         measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
-    found, estimation, told = _estimated(robot, recordings, best, found, refine, report)
     notes += (*told, *verdict.not_believed(best))
     found = verdict.merged(found, candidates)
     kind, reason = _verdict(found, left, explained)

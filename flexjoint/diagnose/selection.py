@@ -33,7 +33,8 @@ RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explai
 CLEARED = 10.0  # factor in variance by which a set must leave less, to be judged at the level that it leaves
 COMPLETE = 3.0  # times the predicted noise, up to which a balance counts as explained
 NEGLIGIBLE = 0.1  # of the torque tolerance, below which no effect is named whatever it explains ...
-CERTAIN = 100.0  # ... and energy that one below the tolerance must earn: ten deviations
+CERTAIN = 100.0  # ... and energy that one below the tolerance must earn: ten deviations, ...
+CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fits something small by chance
 AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 MOST_EFFECTS = 12
@@ -207,17 +208,23 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
 
 def material(trial: Fit, added: Planned, earned: float) -> bool:
     """Whether an effect's torque is beyond the tolerance for what a model does not hold. That tolerance
-    stands for errors of the model; where noise alone is left there are none, and smaller effects count that
-    are beyond doubt."""
+    stands for errors of the model; where noise alone is left there are none, and next to none where the
+    effect clears the balances that it touches: smaller effects count there that are beyond doubt."""
     if tolerated(trial.workspace, added):
         return False
     shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))
     tolerance = trial.workspace.robot.tolerance.torque
-    # an onset is sought over the whole record: by chance one fits something small
-    doubtful = earned < CERTAIN or added.since is not None
+    doubtful = earned < (CERTAIN if added.since is None else CERTAIN_DATED)
     if np.max(shares) >= tolerance or np.max(shares) < NEGLIGIBLE * tolerance or doubtful:
         return bool(np.max(shares) >= tolerance)
-    return bool(np.all(at_own_level(trial).workspace.temper[shares > 0.0] < COMPLETE))
+    touched = shares > 0.0
+    left = at_own_level(trial).workspace.temper[touched]
+    if np.all(left < COMPLETE):
+        return True
+    others = [e for e in trial.effects if e is not added]
+    before = at_own_level(fit(trial.workspace, others)).workspace.temper[touched]
+    wrong = before > CLEARED
+    return bool(np.any(wrong) and np.mean(np.log(before[wrong] / left[wrong])) >= np.log(CLEARED))
 
 
 def tolerated(workspace: Workspace, added: Planned) -> bool:

@@ -62,6 +62,23 @@ def improbable(found: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(f for f in found if f.probability * (1 + len(f.indistinguishable)) < PROBABLE)
 
 
+def vanishing(best: Fit, found: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Findings of which no number, as it is reported, differs from its absence by SURE standard errors: where
+    friction rests, the curvature of a balance can promise what a simulation does not keep."""
+    listed = {e.key for e in best.workspace.nominal}  # of these the change is reported
+    out = []
+    for f in found:
+        distance = []
+        for param in f.planned.effect.nulls:
+            size, null = f.parameters[param.name], 0.0 if f.planned.key in listed else param.null
+            if isinstance(size, Fitted) and null is not None:
+                std = np.maximum(np.ravel(size.std), 1e-300)
+                distance.append(float(np.max(np.abs(np.ravel(size.value) - null) / std)))
+        if max(distance, default=SURE) < SURE:
+            out.append(f)
+    return tuple(out)
+
+
 def without(selection: Selection, effect: Planned) -> Selection:
     """The selection with one of its causes taken out, the others fitted again."""
     best = selection.best
