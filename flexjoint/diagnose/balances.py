@@ -133,6 +133,7 @@ class TwinBalances(Balances):
     def __init__(self, motion: Motion, quiet: Motion) -> None:
         super().__init__(motion)
         self.quiet = Balances(quiet)
+        self.chains.calm = self.quiet.chains
 
 
 def _rows(motion: Motion) -> list[Row]:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, maximum_filter1d
 
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.recent import Recent
@@ -23,6 +23,7 @@ REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trus
 WIDE = 3.0  # standard deviations of the net torque's noise by which its clip is widened
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
+CALM_SIGMAS = 5.0  # of the filter, within which of a motion a denoised acceleration rings
 REMEMBERED = 2e7  # bytes of chains
 
 
@@ -50,6 +51,7 @@ class Chains:
         self.period = motion.readings.period
         self.t = motion.readings.time - motion.readings.start
         self.floating = motion.robot.file.offsets == "per_recording"
+        self.calm: Chains | None = None  # of the same motion without its sensors' noise
         self._recent: Recent[Chain] = Recent()
         self._bases: dict[int, Base] = {}
         window = motion.filter
@@ -107,12 +109,13 @@ class Chains:
         motor_hat = motor_hat + self._torques(at[Site.MOTOR], signals)
         link_hat = self._torques(at[Site.LINK], signals)
         own = motor_hat if joint.rigid else spring_hat
-        link_hat = link_hat + self._link_friction(i, at[Site.LINK], signals, own + link_hat)
+        calm = (
+            self.calm.get(i, [e for e in effects if not e.effect.overrides("level")]) if self.calm else None
+        )
+        link_hat = link_hat + self._link_friction(i, at[Site.LINK], signals, own + link_hat, calm)
         if base.driven:
-            # with unknown encoder offsets the spring's torque is known up to a constant only
-            by_link = joint.rigid or self.floating
-            load = self.filter.spectrum(self.motion.rigid.tau[i]) - link_hat if by_link else spring_hat
-            motor_hat = motor_hat + self._motor_friction(i, at[Site.MOTOR], signals, drive, motor_hat - load)
+            net_hat = motor_hat - self._load(i, spring_hat, link_hat)
+            motor_hat = motor_hat + self._motor_friction(i, at[Site.MOTOR], signals, drive, net_hat, calm)
         reading = base.reading
         if sensed and np.isfinite(tau_t[0]):
             reading = self._filtered(tau_t)
@@ -120,6 +123,13 @@ class Chains:
         if joint.rigid:
             motor_hat, link_hat = motor_hat + link_hat, 0.0
         return Chain(motor_hat, spring_hat, link_hat + np.zeros_like(spring_hat), reading, change)
+
+    def _load(self, i: int, spring_hat: np.ndarray, link_hat: np.ndarray | float) -> np.ndarray:
+        """Spectrum of what a motor pulls at. With unknown encoder offsets the spring's torque is known up to
+        a constant only: the link's dynamics say it."""
+        if self.motion.robot.joints[i].rigid or self.floating:
+            return self.filter.spectrum(self.motion.rigid.tau[i]) - link_hat
+        return spring_hat
 
     def _transmitted(self, i: int, spring_hat: np.ndarray) -> np.ndarray:
         """(N,) the torque of joint i's transmission."""
@@ -218,19 +228,34 @@ class Chains:
 
     # ------------------------------------------------------------------ dry friction
     def _link_friction(
-        self, i: int, effects: Sequence[Planned], signals: Signals, torque_hat: np.ndarray
+        self,
+        i: int,
+        effects: Sequence[Planned],
+        signals: Signals,
+        torque_hat: np.ndarray,
+        calm: Chain | None,
     ) -> np.ndarray | float:
         dry = [e for e in effects if e.effect.overrides("level")]
         if not dry:
             return 0.0
         net = self._time(torque_hat) - self.motion.rigid.tau[i]
+        calm_net = net
+        if self.calm is not None and calm is not None:
+            own = calm.motor if self.motion.robot.joints[i].rigid else calm.spring_torque
+            calm_net = self._time(own + calm.link) - self.calm.motion.rigid.tau[i]
         if self.floating:
-            net = net - np.mean(net)
+            net, calm_net = net - np.mean(net), calm_net - np.mean(calm_net)
         noise = float(self.motion.readings.noise["q"][i])
-        return self._dry(dry, signals, signals.dq, net, self._link_inertia(i), noise)
+        return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i), noise)
 
     def _motor_friction(
-        self, i: int, effects: Sequence[Planned], signals: Signals, drive: Drive, net_hat: np.ndarray
+        self,
+        i: int,
+        effects: Sequence[Planned],
+        signals: Signals,
+        drive: Drive,
+        net_hat: np.ndarray,
+        calm: Chain | None,
     ) -> np.ndarray | float:
         dry = [e for e in effects if e.effect.overrides("level")]
         if not dry:
@@ -238,7 +263,10 @@ class Chains:
         rigid = self.motion.robot.joints[i].rigid
         inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
         noise = float(self.motion.readings.noise["theta"][i])
-        return self._dry(dry, signals, signals.dtheta, self._time(net_hat), inertia, noise)
+        net = calm_net = self._time(net_hat)
+        if self.calm is not None and calm is not None:
+            calm_net = self._time(calm.motor - self.calm._load(i, calm.spring_torque, calm.link))
+        return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia, noise)
 
     def _link_inertia(self, i: int) -> float:
         return float(np.mean(self.motion.rigid.mass[:, i, i]))
@@ -249,11 +277,13 @@ class Chains:
         signals: Signals,
         speed: np.ndarray,
         net: np.ndarray,
+        calm_net: np.ndarray,
         inertia: float,
         encoder: float,
     ) -> np.ndarray:
         """Spectrum of the dry friction, a set-valued law evaluated on data: level sgn(speed) in motion; at
-        rest what holds the body, which the balance itself tells, within +-level.
+        rest what holds the body, which the balance itself tells, within +-level. Away from where it stops and
+        breaks loose that is told without the sensors' noise, as a friction holds a body and no noise.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
@@ -268,13 +298,19 @@ class Chains:
         window = self.filter
         # what the encoder's noise makes of inertia x acceleration in the net torque
         bound = HELD * level + WIDE * inertia * encoder * self._roughness
-        sharp_speed, sharp_net = speed, net
+        sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
+        reach = 2 * int(np.ceil(CALM_SIGMAS * self.motion.readings.sigma / self.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
-            held = np.clip(sharp_net, -bound, bound)
-            friction = np.where(np.abs(sharp_speed) > REST_SPEED, level * np.sign(sharp_speed), held)
+            moving = np.abs(sharp_speed) > REST_SPEED
+            near = maximum_filter1d(moving, reach)
+            held = np.where(
+                near, np.clip(sharp_net, -bound, bound), np.clip(calm_net + lost, -HELD * level, HELD * level)
+            )
+            friction = np.where(moving, level * np.sign(sharp_speed), held)
             spectrum = window.spectrum(friction)
             if further:
-                sharp_net = net + self._time(spectrum * self._lost)
+                lost = self._time(spectrum * self._lost)
+                sharp_net = net + lost
                 sharp_speed = speed - self._time(spectrum * self._lost_integral) / inertia
         return -spectrum * window.gain
 

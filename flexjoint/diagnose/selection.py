@@ -27,6 +27,7 @@ METHOD_ERROR = (
     1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
 )
 LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
+FILTERED = 1e-5  # share of the explained energy by which laws differ as filtered balances see their kinks
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
 PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
@@ -161,9 +162,11 @@ def leftover(result: Fit) -> float:
 
 
 def choose(fits: Sequence[Fit]) -> Fit:
-    """The best score; of those that differ by little against what all leave unexplained, the plainest."""
+    """The best score; of those that differ by little against what all leave unexplained, or against what
+    filters leave of all that is explained, the plainest."""
     best = min(fits, key=score)
-    close = score(best) + LEFTOVER * leftover(best)
+    bare = best.workspace.energy(best.workspace.residual([]))
+    close = score(best) + LEFTOVER * leftover(best) + FILTERED * max(0.0, bare - best.energy)
     return min((f for f in fits if score(f) <= close), key=lambda f: (price(f.effects), score(f)))
 
 
