@@ -89,8 +89,8 @@ class Workspace:
 
     @property
     def moves(self) -> Moves:
-        """What dry friction changes of the nominal numbers' columns. Not kept with each of many fits, which are
-        seldom asked again: made anew where it is not remembered."""
+        """What dry friction changes of the nominal numbers' columns. Not kept with each of many fits, as it
+        is large and seldom asked for again: made anew where it is not remembered."""
         effects = self._rubbing
         key = tuple(identity(e) for e in effects)
         return self._moves.get(key, lambda: self._moves_by(effects), REMEMBERED)
