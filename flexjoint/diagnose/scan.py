@@ -63,7 +63,7 @@ class _Kept:
 
     def columns(self) -> np.ndarray:
         """(k, rows - first, K) whitened, from the first balance on."""
-        return np.array([self.trace.whitening.white(band)[self.first :] for band in self.bands])
+        return np.array([self.trace.whitening.white_from(band, self.first) for band in self.bands])
 
 
 @dataclass(frozen=True)
@@ -151,9 +151,8 @@ class Scanner:
     def _kept(self, candidate: Candidate, against: _Against) -> Iterator[tuple[_Kept, np.ndarray]]:
         current, base = against.current, against.base
         workspace, own = current.workspace, [e for e in base if e.joint == candidate.joint]
-        rows = len(workspace.balances.rows)
         if candidate.effect.overrides("edit_inertial"):
-            yield from (_kept(t, rows) for t in traces(workspace, candidate, base, current.y))
+            yield from (_kept(t) for t in traces(workspace, candidate, base, current.y))
             return
         key = (candidate.key, candidate.words, *(identity(e) for e in own))
         if key in self._traces:
@@ -162,7 +161,7 @@ class Scanner:
         remembered: list[_Kept] | None = []
         held = 8 * len(workspace.nuisance) * workspace.samples
         for trace in traces(workspace, candidate, own, current.y):
-            kept, columns = _kept(trace, rows)
+            kept, columns = _kept(trace)
             yield kept, columns
             if remembered is not None:
                 remembered.append(kept)
@@ -179,11 +178,11 @@ class Scanner:
             return self._bytes + held <= MEMORY
 
 
-def _kept(trace: Trace, rows: int) -> tuple[_Kept, np.ndarray]:
-    columns = trace.columns.reshape(len(trace.columns), rows, -1)
-    first = min((int(band.rows[0]) for band in trace.bands if band.rows.size), default=0)
-    sight = float(np.sqrt(np.max(np.einsum("krt,krt->k", columns, columns))))
-    return _Kept(replace(trace, bands=()), trace.bands, first, sight), columns[:, first:]
+def _kept(trace: Trace) -> tuple[_Kept, np.ndarray]:
+    first = min((band.first for band in trace.bands if band.rows.size), default=0)
+    kept = _Kept(replace(trace, bands=()), trace.bands, first, 0.0)
+    columns = kept.columns()
+    return replace(kept, sight=float(np.sqrt(np.max(np.einsum("krt,krt->k", columns, columns))))), columns
 
 
 def _batches(every: Iterator[_Traced]) -> Iterator[list[_Traced]]:

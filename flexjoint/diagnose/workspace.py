@@ -33,7 +33,7 @@ NOISY = 3.0  # temper above which sensor noise no longer decides anything
 TEMPER_ROUNDS = 12
 TELLING = 100.0  # energy that must remain, for a cause to be able to earn its price
 FEWEST = 100  # independent samples that a recording is credited with at least
-REMEMBERED = 3e7  # bytes of residuals and their derivatives, and of columns that friction moves
+REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that friction moves
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
 
 
@@ -295,6 +295,8 @@ class Workspace:
         scale = np.array([self.torque_scale[r.joint] for r in self.balances.rows])
         there = whitening.make(self.balances, scale, held)
         residual = there.apply(self.balances.residual(held)).ravel()
+        if not any(e.effect.overrides("edit_inertial") for e in self.nominal):
+            self.motion.rigid.regressor.forget(REMEMBERED)  # nobody else asks for it
         # other nominal numbers (of effects, offsets) change no noise: their part stays linear
         residual = (residual - self._linear_part(pull)) * self.weights
         return float(residual @ residual) + float(pull @ pull)
