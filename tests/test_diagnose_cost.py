@@ -10,8 +10,10 @@ from diagnose_cases import Case, as_recording, nominal
 from planting import Planted
 
 from flexjoint.diagnose import chain, scan
+from flexjoint.diagnose import workspace as workspaces
 from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.scan import Scanner
 from flexjoint.diagnose.shared_numbers import SharedNumbers
 from flexjoint.diagnose.workspace import Workspace, balances_of
@@ -43,6 +45,49 @@ def test_any_number_of_threads_gives_the_same_bits(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(scan, "MEMORY", 0.0)
     monkeypatch.setattr(chain, "REMEMBERED", 0.0)
     assert scanned(2, current) == alone
+
+
+def test_fits_of_one_set_are_scanned_together_as_alone() -> None:
+    noisy = workspace().at(np.full(6, 50.0))
+    effects = [plan("motor_coulomb_friction", "elbow", {"level": 0.3})]
+    for set_of in ([], effects):  # with an effect, traces of its joint are not shared
+        fits = [fit(workspace(), set_of), fit(noisy, set_of)]
+        scanner = Scanner([c for c in enumerate_candidates(workspace()) if c.effect.name in KEPT])
+        together, alone = scanner.scans(fits), [scanner.scan(one) for one in fits]
+        for a, b in zip(together, alone, strict=True):
+            assert [s.candidate for s in a] == [s.candidate for s in b]
+            # sums of some 7000 products, in batches of other sizes
+            assert [s.removes for s in a] == pytest.approx([s.removes for s in b], rel=1e-8, abs=1e-6)
+
+
+def test_what_is_remembered_changes_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    effects = [plan("motor_coulomb_friction", "elbow", {"level": 0.3}), plan("cogging", "shoulder", {})]
+    fitted = [fit(fresh, effects) for fresh in (workspace.__wrapped__(), workspace())]
+    monkeypatch.setattr(workspaces, "REMEMBERED", 0.0)
+    fitted += [fit(fresh, effects) for fresh in (workspace.__wrapped__(), workspace())]
+    assert len({(f.energy, *(slot.get(f.effects) for slot in f.slots)) for f in fitted}) == 1
+
+
+def test_residuals_are_made_of_what_changes() -> None:
+    """Joint by joint against the nominal model's, or all balances at once."""
+    here = workspace()
+    effects = [plan("backlash", "elbow", {"gap": 0.004}), plan("cogging", "shoulder", {"amplitude": 0.4})]
+    whole = here.whitened(here.with_nominal(effects))
+    # some thousand noises large, of which rounding leaves 1e-12
+    assert here.residual(effects) == pytest.approx(whole, abs=1e-12 * float(np.max(np.abs(whole))) + 1e-9)
+    assert np.max(np.abs(here.residual(effects) - here.residual([]))) > 1.0
+
+
+def test_the_least_recently_used_is_forgotten_first() -> None:
+    made: list[str] = []
+    recent: Recent[np.ndarray] = Recent()
+
+    def get(key: str) -> np.ndarray:
+        return recent.get(key, lambda: made.append(key) or np.zeros(10), 160.0)  # room for two
+
+    for key in ("a", "b", "a", "c", "a", "b"):
+        get(key)
+    assert made == ["a", "b", "c", "b"]
 
 
 def test_products_are_those_of_weighted_columns() -> None:

@@ -45,6 +45,11 @@ class Regressor:
                 kept[:, :, part] = whole[:, rows_v[rows][:, None], column].transpose(2, 1, 0)
         return out
 
+    def forget(self, limit: float) -> None:
+        """Give the memory back, where it is more than so many bytes: it can be evaluated again."""
+        if sum(kept.nbytes for _, kept in self.__dict__.get("_bodies", [])) > limit:
+            del self.__dict__["_bodies"]
+
     def torque(self, i: int, added: np.ndarray) -> np.ndarray:
         """(n, N) torques of a change (10,) of the inertial parameters of joint i's link."""
         rows, kept = self._bodies[i]

@@ -26,7 +26,7 @@ ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferr
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 2e8  # bytes of the tolerances' columns and of traces that are remembered between scans
 PART = 6  # candidates that a thread takes at a time
-BATCH = 16  # columns whose products are taken together
+BATCH = 32  # columns whose products are taken together
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class _Kept:
 
     def columns(self) -> np.ndarray:
         """(k, rows - first, K) whitened, from the first balance on."""
-        return np.array([self.trace.whitening.white(band)[self.first :] for band in self.bands])
+        return np.array([self.trace.whitening.white_from(band, self.first) for band in self.bands])
 
 
 @dataclass(frozen=True)
@@ -124,8 +124,9 @@ class Scanner:
         """The best start of each candidate, by the candidate's number, against each of some fits."""
         best: list[dict[int, Scored]] = [{} for _ in against]
         for batch in _batches(traced for k, c in part for traced in self._traced(k, c, against)):
+            fixed = against[batch[0].places[0]].fixed(batch)
             for place in batch[0].places:
-                products = against[place].tails(batch)
+                products = against[place].tails(batch, fixed)
                 for traced, (curvature, force) in zip(batch, products, strict=True):
                     scored = _score(traced.kept, curvature, force, against[place].starts)
                     k = traced.candidate
@@ -150,9 +151,8 @@ class Scanner:
     def _kept(self, candidate: Candidate, against: _Against) -> Iterator[tuple[_Kept, np.ndarray]]:
         current, base = against.current, against.base
         workspace, own = current.workspace, [e for e in base if e.joint == candidate.joint]
-        rows = len(workspace.balances.rows)
         if candidate.effect.overrides("edit_inertial"):
-            yield from (_kept(t, rows) for t in traces(workspace, candidate, base, current.y))
+            yield from (_kept(t) for t in traces(workspace, candidate, base, current.y))
             return
         key = (candidate.key, candidate.words, *(identity(e) for e in own))
         if key in self._traces:
@@ -161,7 +161,7 @@ class Scanner:
         remembered: list[_Kept] | None = []
         held = 8 * len(workspace.nuisance) * workspace.samples
         for trace in traces(workspace, candidate, own, current.y):
-            kept, columns = _kept(trace, rows)
+            kept, columns = _kept(trace)
             yield kept, columns
             if remembered is not None:
                 remembered.append(kept)
@@ -178,11 +178,11 @@ class Scanner:
             return self._bytes + held <= MEMORY
 
 
-def _kept(trace: Trace, rows: int) -> tuple[_Kept, np.ndarray]:
-    columns = trace.columns.reshape(len(trace.columns), rows, -1)
-    first = min((int(band.rows[0]) for band in trace.bands if band.rows.size), default=0)
-    sight = float(np.sqrt(np.max(np.einsum("krt,krt->k", columns, columns))))
-    return _Kept(replace(trace, bands=()), trace.bands, first, sight), columns[:, first:]
+def _kept(trace: Trace) -> tuple[_Kept, np.ndarray]:
+    first = min((band.first for band in trace.bands if band.rows.size), default=0)
+    kept = _Kept(replace(trace, bands=()), trace.bands, first, 0.0)
+    columns = kept.columns()
+    return replace(kept, sight=float(np.sqrt(np.max(np.einsum("krt,krt->k", columns, columns))))), columns
 
 
 def _batches(every: Iterator[_Traced]) -> Iterator[list[_Traced]]:
@@ -254,26 +254,38 @@ class _Against:
         self.squares = workspace.squares.reshape(self.rows, -1)
         ends = [*edges[1:], time.size]
         self.slices = [slice(a, b) for a, b in zip(edges, ends, strict=True)]
-        # what columns are multiplied by: the nominal numbers' columns, which are not copied for their size;
-        # tangents and residual, (p, rows, samples)
-        self.fixed = workspace.across_part
-        free_part = np.concatenate([current.tangents / size, current.y[None]])
-        self.free = free_part.reshape(free + 1, self.rows, time.size)
+        # what columns are multiplied by beside the nominal numbers' plain ones: tangents, residual, and what
+        # friction moves of the nominal numbers' columns, (p, rows, samples)
+        moves = workspace.moves
+        self.moved = moves.numbers
+        free_part = np.concatenate([current.tangents / size, current.y[None], moves.change])
+        self.free = free_part.reshape(len(free_part), self.rows, time.size)
 
-    def tails(self, batch: Sequence[_Traced]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def fixed(self, batch: Sequence[_Traced]) -> np.ndarray:
+        """(blocks, rows - first, k, numbers) products of the columns with the nominal numbers' plain ones, as
+        yet without weights: the same for any fit of one set."""
+        workspace, first = self.current.workspace, batch[0].kept.first
+        out = []
+        for s in self.slices:
+            columns = np.concatenate([traced.columns[:, :, s] for traced in batch]) * workspace.used[s]
+            by_row = enumerate(columns.transpose(1, 0, 2), start=first)
+            out.append([workspace.across_part(part, r, s) for r, part in by_row])
+        return np.array(out)
+
+    def tails(self, batch: Sequence[_Traced], fixed: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Projected curvature and force of each trace's columns, switched on at each block's start. The
         traces begin at the same balance."""
-        first = batch[0].kept.first
+        first, free = batch[0].kept.first, len(self.free) - len(self.moved)
+        plain = np.tensordot(1.0 / self.current.workspace.temper[first:], fixed, (0, 1))
         own, across = [], []
-        for s in self.slices:
+        for s, by_plain in zip(self.slices, plain, strict=True):
             columns = np.concatenate([traced.columns[:, :, s] for traced in batch])
             weighted = columns * self.squares[first:, s]
-            own.append(weighted.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T)
-            products = [
-                np.hstack([self.fixed(part, r, s), part @ self.free[:, r, s].T])
-                for r, part in enumerate(weighted.transpose(1, 0, 2), start=first)
-            ]
-            across.append(np.sum(products, axis=0))
+            weighted = weighted.reshape(len(columns), -1)
+            own.append(weighted @ columns.reshape(len(columns), -1).T)
+            beside = weighted @ self.free[:, first:, s].reshape(len(self.free), -1).T
+            by_plain[:, self.moved] += beside[:, free:]
+            across.append(np.hstack([by_plain, beside[:, :free]]))
         curvature, both = (np.cumsum(np.array(x)[::-1], axis=0)[::-1] for x in (own, across))
         through, with_y = both[:, :, :-1], both[:, :, -1]
         solved = cho_solve(self.factor, through.reshape(-1, through.shape[2]).T).T.reshape(through.shape)

@@ -27,7 +27,8 @@ from flexjoint.simulate import torque_over
 from flexjoint.symbolic import SymbolicModel
 
 CHANNELS = ("q", "theta", "tau_t")  # the balances' sensors
-SIDE_BY_SIDE = 24  # windows that are simulated at once: more need memory, fewer time
+SIDE_BY_SIDE = 24  # windows that are simulated at once, at most: more need memory, fewer time
+SIDE_MEMORY = 4e7  # bytes of derivatives that they may have together
 PASSES = 3  # linearisations to be expected
 FLAT = 1e3  # noises by which a start may differ from its measured value: anything that could be
 DISTURBED = 0.01  # s, of the blocks by which the noise of motor torques is told: motors answer more slowly
@@ -194,10 +195,13 @@ class Shooting:
         rate, steps = self.rate / coarse, self.steps // coarse
         numbers = self.numbers(slots, deviations)
         out: list[Reduced | None] = [None] * len(self.windows)
+        columns = self.own + len(self.slot_labels) + len(self.nominal)
+        most = int(SIDE_MEMORY / (8.0 * (steps + 1) * len(self.keys) * columns))
+        side = min(SIDE_BY_SIDE, max(1, most))
         for phase, derivatives in self._derivatives.items():
             rows = [k for k, window in enumerate(self.windows) if window.phase == phase]
-            for begin in range(0, len(rows), SIDE_BY_SIDE):
-                part = rows[begin : begin + SIDE_BY_SIDE]
+            for begin in range(0, len(rows), side):
+                part = rows[begin : begin + side]
                 inputs, directions = self._inputs(part, numbers, deviations, starts[part], steps)
                 run = derivatives.run(inputs, numbers, directions, rate)
                 for place, k in enumerate(part):

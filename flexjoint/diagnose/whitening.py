@@ -38,6 +38,11 @@ class Band:
     spectra: np.ndarray  # (k, F_band)
 
     @property
+    def first(self) -> int:
+        """The first balance in which it leaves a mark; 0 where there is none."""
+        return int(self.rows[0]) if self.rows.size else 0
+
+    @property
     def nbytes(self) -> int:
         return self.spectra.nbytes
 
@@ -85,15 +90,15 @@ class Whitening:
     def white(self, band: Band) -> np.ndarray:
         """(m, K): whitened series at the usable samples."""
         white = np.zeros((len(self.matrix), self.keep.size))
-        if not band.rows.size:
-            return white
-        first = int(band.rows[0])
-        mixed = np.zeros((len(white) - first, self.taper.size), dtype=complex)
+        white[band.first :] = self.white_from(band, band.first)
+        return white
+
+    def white_from(self, band: Band, first: int) -> np.ndarray:
+        """(m - first, K): the same from some balance on; before the band's first one it is zero."""
+        mixed = np.zeros((len(self.matrix) - first, self.taper.size), dtype=complex)
         for row, spectrum in zip(band.rows, band.spectra, strict=True):
             mixed[row - first :] += self.matrix[row:, row] * spectrum
-        series = fft.irfft(mixed, self.length, axis=-1)
-        np.multiply(series[:, self.keep], self.scale, out=white[first:])
-        return white
+        return np.asarray(fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale)
 
 
 def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned]) -> Whitening:

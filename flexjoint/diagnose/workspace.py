@@ -33,12 +33,12 @@ NOISY = 3.0  # temper above which sensor noise no longer decides anything
 TEMPER_ROUNDS = 12
 TELLING = 100.0  # energy that must remain, for a cause to be able to earn its price
 FEWEST = 100  # independent samples that a recording is credited with at least
-REMEMBERED = 3e7  # bytes of residuals and their derivatives, and of columns that friction moves
+REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that friction moves
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
 
 
 @dataclass(frozen=True)
-class _Moves:
+class Moves:
     """By how much dry friction changes the columns of some nominal numbers, and all products then."""
 
     numbers: np.ndarray  # (m,) indices
@@ -67,26 +67,34 @@ class Workspace:
         self.nominal = tuple(self.robot.effects)
         self._signals: dict[str | None, Signals] = {}
         self._recent: Recent[np.ndarray] = Recent()
-        self._moves: Recent[_Moves] = Recent()
+        self._moves: Recent[Moves] = Recent()
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
         self._as_effects = np.array([n.held_as_effect for n in self.nuisance], dtype=bool)
-        self._moved, self._move = np.zeros(0, dtype=int), np.zeros((0, self.samples))
+        self._rubbing: tuple[Planned, ...] = ()  # effects of joints on which dry friction is at work
         self.temper = np.ones(len(rows))
         self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
         self.used = np.ones(self.time.size)
-        self._plain_grams = self._grams = self._grams_of_rows()
+        self._grams = self._grams_of_rows()
         self._weigh()
 
     @property
     def J(self) -> np.ndarray:
         """(numbers, samples) whitened columns of the nominal numbers, one prior deviation each. By far the
         largest array there is, and a copy where friction moves some: see `pull`, `across` and `along`."""
-        if not len(self._moved):
+        if not self._rubbing:
             return self._plain
         out = self._plain.copy()
-        out[self._moved] += self._move
+        out[self.moves.numbers] += self.moves.change
         return out
+
+    @property
+    def moves(self) -> Moves:
+        """What dry friction changes of the nominal numbers' columns. Not kept with each of many fits, as it
+        is large and seldom asked for again: made anew where it is not remembered."""
+        effects = self._rubbing
+        key = tuple(identity(e) for e in effects)
+        return self._moves.get(key, lambda: self._moves_by(effects), REMEMBERED)
 
     def _grams_of_rows(self) -> np.ndarray:
         """(rows, k, k) products of the nominal numbers' plain columns over each balance's used samples."""
@@ -103,7 +111,7 @@ class Workspace:
         rows = len(self.balances.rows)
         plain = self._plain.reshape(len(self._plain), rows, self.time.size)
         moved = columns.reshape(len(at), rows, self.time.size)
-        out = self._plain_grams.copy()
+        out = self._grams.copy()
         for row in range(rows):
             part = moved[:, row] * self.used
             across = part @ plain[:, row].T
@@ -114,7 +122,7 @@ class Workspace:
 
     def _weigh(self) -> None:
         # J is never stored weighted, for its size
-        self.gram = np.tensordot(1.0 / self.temper, self._grams, 1) + np.eye(len(self._plain))
+        self.gram = np.tensordot(1.0 / self.temper, self.moves.grams, 1) + np.eye(len(self._plain))
         self._gram = cho_factor(self.gram)
 
     @property
@@ -138,32 +146,26 @@ class Workspace:
     def about(self, effects: Sequence[Planned]) -> Workspace:
         """The same workspace with the nominal numbers' columns taken where these effects, beyond the nominal
         model's, are at work: what dry friction holds at rest follows the springs."""
-        every = self.with_nominal(effects)
-        rubbing = self._columns.rubbing(every)
-        if not rubbing and not len(self._moved):
+        rubbing = self._columns.rubbing(self.with_nominal(effects))
+        if not rubbing and not self._rubbing:
             return self
         other = copy.copy(self)
-        key = tuple(tuple(identity(e) for e in own) for own in rubbing.values())
-        moves = self._moves.get(key, lambda: self._moves_by(every), REMEMBERED)
-        other._moved, other._move, other._grams = moves.numbers, moves.change, moves.grams
+        other._rubbing = tuple(e for own in rubbing.values() for e in own)
         other._weigh()
         return other
 
-    def _moves_by(self, every: Sequence[Planned]) -> _Moves:
-        changed = self._columns.beside_friction(every)
+    def _moves_by(self, effects: Sequence[Planned]) -> Moves:
+        changed = self._columns.beside_friction(effects)
         numbers = np.array(list(changed), dtype=int)
         columns = np.array(list(changed.values())).reshape(len(changed), self.samples)
         change = columns - self._plain[numbers]
-        return _Moves(numbers, change, self._moved_grams(numbers, columns) if changed else self._plain_grams)
+        return Moves(numbers, change, self._moved_grams(numbers, columns) if changed else self._grams)
 
     def only(self, used: np.ndarray) -> Workspace:
         """The same workspace with only some samples (bool, as many as `time`) counted."""
         other = copy.copy(self)
         other.used = used.astype(float)
-        other._plain_grams = other._grams = other._grams_of_rows()
-        other._moves = Recent()
-        if len(self._moved):
-            other._grams = other._moved_grams(self._moved, self._plain[self._moved] + self._move)
+        other._grams, other._moves = other._grams_of_rows(), Recent()
         other._weigh()
         return other
 
@@ -257,26 +259,24 @@ class Workspace:
     @property
     def bare_gram(self) -> np.ndarray:
         """(numbers, numbers) J J' of the samples that are used, at the predicted noise."""
-        return np.asarray(np.sum(self._grams, axis=0))
+        return np.asarray(np.sum(self.moves.grams, axis=0))
 
     def across(self, a: np.ndarray) -> np.ndarray:
         """(k, numbers) a J' of columns a (k, samples)."""
-        out = a @ self._plain.T
-        out[:, self._moved] += a @ self._move.T
+        out, moves = a @ self._plain.T, self.moves
+        out[:, moves.numbers] += a @ moves.change.T
         return out
 
     def across_part(self, a: np.ndarray, row: int, part: slice) -> np.ndarray:
-        """(k, numbers) the same of one balance's part of the record, a (k, size of the part)."""
-        rows = len(self.balances.rows)
-        plain, move = (x.reshape(len(x), rows, self.time.size) for x in (self._plain, self._move))
-        out = a @ plain[:, row, part].T
-        if len(self._moved):
-            out[:, self._moved] += a @ move[:, row, part].T
-        return out
+        """(k, numbers) the same of one balance's part of the record, a (k, size of the part), without what
+        friction moves."""
+        plain = self._plain.reshape(len(self._plain), len(self.balances.rows), self.time.size)
+        return np.asarray(a @ plain[:, row, part].T)
 
     def along(self, d: np.ndarray) -> np.ndarray:
         """(..., samples) d J of deviations d (..., numbers)."""
-        return d @ self._plain + d[..., self._moved] @ self._move
+        moves = self.moves
+        return np.asarray(d @ self._plain + d[..., moves.numbers] @ moves.change)
 
     def energy(self, y: np.ndarray) -> float:
         """Q(y, y)."""
@@ -296,6 +296,8 @@ class Workspace:
         scale = np.array([self.torque_scale[r.joint] for r in self.balances.rows])
         there = whitening.make(self.balances, scale, held)
         residual = there.apply(self.balances.residual(held)).ravel()
+        if not any(e.effect.overrides("edit_inertial") for e in self.nominal):
+            self.motion.rigid.regressor.forget(REMEMBERED)  # nobody else asks for it
         # other nominal numbers (of effects, offsets) change no noise: their part stays linear
         residual = (residual - self._linear_part(pull)) * self.weights
         return float(residual @ residual) + float(pull @ pull)
