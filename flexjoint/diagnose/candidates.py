@@ -174,8 +174,11 @@ def _trace(
         p.name: float(p.null or 0.0) if listed is None else float(listed.values[p.name]) for p in effect.nulls
     }
 
+    # between two noises that are moved apart lies a smaller one, which is no trace of a delay
+    change = workspace.quietly_moved if effect.overrides("delay") else workspace.moved
+
     def column(values: Mapping[str, Any]) -> np.ndarray:
-        return workspace.moved(base, [*without, candidate.planned(values)])
+        return change(base, [*without, candidate.planned(values)])
 
     if given:
         trial = {name: start[name] for name in given}

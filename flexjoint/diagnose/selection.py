@@ -160,20 +160,22 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
     """The most promising candidates fitted together with the current set: those whose first-order gain
     comes near the best one's, and near the `needed` energy."""
     out: list[Fit] = []
-    if not scanned:
-        return out
-    most = scanned[0].removes  # to first order; what is `needed` may lie beyond it
-    enough = max(PROMISING * most, RIVALLING * min(needed, most), 1.0)
+    most = 0.0  # of what candidates promise, to first order, and keep; what is `needed` may lie beyond it
     for scored in scanned[:POLISHED]:
-        if scored.removes >= enough:
-            fitted = fit(current.workspace, [*current.effects, scored.planned()])
-            if not degenerate(fitted.effects[-1]):
-                out.append(fitted)
+        if scored.removes < max(PROMISING * most, RIVALLING * min(needed, most), 1.0):
+            break
+        fitted = fit(current.workspace, [*current.effects, scored.planned()])
+        most = max(most, min(scored.removes, current.energy - fitted.energy))
+        if not degenerate(fitted.effects[-1]):
+            out.append(fitted)
     return out
 
 
 def degenerate(planned: Planned) -> bool:
-    """Whether a law has shrunk to a simpler one, or to none: a shape parameter at its bound."""
+    """Whether a law has shrunk to none, or to a simpler one: a shape parameter at its bound."""
+    sizes = [(planned.values[p.name], p.null) for p in planned.effect.nulls]
+    if all(np.all(np.ravel(size) == null) for size, null in sizes):
+        return True
     shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
     return any(
         np.isclose(planned.values[p.name], (p.low, p.high), rtol=AT_BOUND, atol=0.0).any() for p in shapes

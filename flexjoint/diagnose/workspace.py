@@ -184,6 +184,10 @@ class Workspace:
             change = change + self._quiet_change(every_a, every_b) - self._quiet_change(a, b)
         return change
 
+    def quietly_moved(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
+        """(samples,) the same along the denoised recording."""
+        return self._quiet_change(self.with_nominal(extra), self.with_nominal(other))
+
     def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
         kept = [e for e in extra if not whitening.changes_noise(e)]
