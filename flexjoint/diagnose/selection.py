@@ -160,14 +160,15 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
     """The most promising candidates fitted together with the current set: those whose first-order gain
     comes near the best one's, and near the `needed` energy."""
     out: list[Fit] = []
-    most = 0.0  # of what candidates promise, to first order, and keep; what is `needed` may lie beyond it
+    if not scanned:
+        return out
+    most = scanned[0].removes  # to first order; what is `needed` may lie beyond it
+    enough = max(PROMISING * most, RIVALLING * min(needed, most), 1.0)
     for scored in scanned[:POLISHED]:
-        if scored.removes < max(PROMISING * most, RIVALLING * min(needed, most), 1.0):
-            break
-        fitted = fit(current.workspace, [*current.effects, scored.planned()])
-        most = max(most, min(scored.removes, current.energy - fitted.energy))
-        if not degenerate(fitted.effects[-1]):
-            out.append(fitted)
+        if scored.removes >= enough:
+            fitted = fit(current.workspace, [*current.effects, scored.planned()])
+            if not degenerate(fitted.effects[-1]):
+                out.append(fitted)
     return out
 
 
