@@ -100,10 +100,9 @@ def diagnose(
         doubtful, why = verdict.improbable(found), "something like {} would help, but others fit as well"
         if not doubtful:
             found, estimation, told = _estimated(robot, recordings, best, found, refine, report)
-            doubtful, why = (
-                verdict.vanishing(best, found),
-                "{} has no size in the simulation that could be told",
-            )
+            refined_so = estimation is not None and estimation.method == "output_error"
+            doubtful = verdict.vanishing(best, found) if refined_so else ()
+            why = "the simulation does not tell {} from none"
         if not doubtful:
             break
         for finding in doubtful:

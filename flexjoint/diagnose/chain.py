@@ -12,18 +12,14 @@ from functools import cached_property
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import map_coordinates, maximum_filter1d
+from scipy.ndimage import map_coordinates
 
+from flexjoint.diagnose.dry_friction import REST_SPEED, DryFriction
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.recent import Recent
 from flexjoint.effect import Drive, Planned, Signals, Site
 
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
-REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trusted
-WIDE = 3.0  # standard deviations of the net torque's noise by which its clip is widened
-HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
-FRICTION_ROUNDS = 4
-CALM_SIGMAS = 5.0  # of the filter, within which of a motion a denoised acceleration rings
 REMEMBERED = 2e7  # bytes of chains
 
 
@@ -54,11 +50,7 @@ class Chains:
         self.calm: Chains | None = None  # of the same motion without its sensors' noise
         self._recent: Recent[Chain] = Recent()
         self._bases: dict[int, Base] = {}
-        window = motion.filter
-        # what the filter makes of white noise's second derivative; what it takes away, and its integral
-        self._roughness = float(np.sqrt(np.mean((window.omega**2 * window.gain) ** 2)))
-        self._lost, nothing = 1.0 - window.gain, np.zeros_like(self.jomega)
-        self._lost_integral = np.divide(self._lost, self.jomega, out=nothing, where=window.omega > 0)
+        self._friction = DryFriction(motion.filter, motion.readings.sigma)
 
     def base(self, i: int) -> Base:
         if i not in self._bases:
@@ -281,13 +273,7 @@ class Chains:
         inertia: float,
         encoder: float,
     ) -> np.ndarray:
-        """Spectrum of the dry friction, a set-valued law evaluated on data: level sgn(speed) in motion; at
-        rest what holds the body, which the balance itself tells, within +-level. Away from where it stops and
-        breaks loose that is told without the sensors' noise, as a friction holds a body and no noise.
-
-        The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
-        (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
-        """
+        """Spectrum of the effects' dry friction (dry_friction.py)."""
         level = np.zeros_like(speed)
         # what a level does below the speed that the data resolve is not known: it is held there
         resolved = np.where(speed < 0.0, -1.0, 1.0) * np.maximum(np.abs(speed), REST_SPEED)
@@ -295,24 +281,7 @@ class Chains:
         for e in effects:
             value = e.effect.level(signals, e.p, self._state(e, moved)) * np.ones_like(speed)
             level = level + self._since(e, value, np.zeros_like(value))
-        window = self.filter
-        # what the encoder's noise makes of inertia x acceleration in the net torque
-        bound = HELD * level + WIDE * inertia * encoder * self._roughness
-        sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
-        reach = 2 * int(np.ceil(CALM_SIGMAS * self.motion.readings.sigma / self.period)) + 1
-        for further in reversed(range(FRICTION_ROUNDS)):
-            moving = np.abs(sharp_speed) > REST_SPEED
-            near = maximum_filter1d(moving, reach)
-            held = np.where(
-                near, np.clip(sharp_net, -bound, bound), np.clip(calm_net + lost, -HELD * level, HELD * level)
-            )
-            friction = np.where(moving, level * np.sign(sharp_speed), held)
-            spectrum = window.spectrum(friction)
-            if further:
-                lost = self._time(spectrum * self._lost)
-                sharp_net = net + lost
-                sharp_speed = speed - self._time(spectrum * self._lost_integral) / inertia
-        return -spectrum * window.gain
+        return self._friction.spectrum(level, speed, net, calm_net, inertia, encoder)
 
     # ------------------------------------------------------------------ helpers
     def _state(self, e: Planned, signals: Signals) -> np.ndarray | float:

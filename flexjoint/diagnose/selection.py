@@ -187,7 +187,10 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
 
 
 def degenerate(planned: Planned) -> bool:
-    """Whether a law has shrunk to a simpler one, or to none: a shape parameter at its bound."""
+    """Whether a law has shrunk to none, or to a simpler one: a shape parameter at its bound."""
+    sizes = [(planned.values[p.name], p.null) for p in planned.effect.nulls]
+    if all(np.all(np.ravel(size) == null) for size, null in sizes):
+        return True
     shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
     return any(
         np.isclose(planned.values[p.name], (p.low, p.high), rtol=AT_BOUND, atol=0.0).any() for p in shapes

@@ -156,10 +156,10 @@ def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
 
 
 def denoised(readings: Readings) -> Readings:
-    """The readings with their positions passed through a Wiener filter: each frequency is kept to the share
-    of its power that is not the predicted white noise."""
+    """The readings with positions and joint torques passed through a Wiener filter: each frequency is kept to
+    the share of its power that is not the predicted white noise."""
     clean = {}
-    for name in ("q", "theta"):
+    for name in ("q", "theta", "tau_t"):
         signals = getattr(readings, name).copy()
         for i, x in enumerate(signals):
             if np.isfinite(x[0]):
