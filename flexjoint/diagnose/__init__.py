@@ -14,6 +14,7 @@ from flexjoint.diagnose.balances import Balances
 from flexjoint.diagnose.candidates import STILL, enumerate_candidates
 from flexjoint.diagnose.experiment import advice
 from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnose.second_look import look_again
 from flexjoint.diagnose.selection import Selection, select
 from flexjoint.diagnose.together import combine
 from flexjoint.diagnose.verdict import Errors, Key
@@ -90,6 +91,11 @@ def diagnose(
     report(0.92, "measuring the gain on held-out data")
     selection, measured, worse = held_out.confirmed(robot, recording, workspace, selection)
     notes += worse
+    if len(recordings) == 1 and measured is not None and _doubtful(selection):
+        again = look_again(robot, recording, workspace, selection, candidates, _part(report, 0.92, 0.02))
+        if again is not None:
+            workspace, selection, notes = again.workspace, again.selection, (*notes, *again.notes)
+            measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
     while True:
         best = selection.best
         residuals = leftover.views(best, selection.nothing)
@@ -173,6 +179,16 @@ def _estimated(
     found, estimation = refined.refine(robot, recordings[0], best, found)
     why = estimation.why
     return found, estimation, (f"numbers are those of the torque balances: {why}",) if why else ()
+
+
+def _doubtful(selection: Selection) -> bool:
+    """Whether an error is left and only implausible nominal numbers would explain it."""
+    best = selection.best
+    if best.workspace.strain <= leftover.STRAINED:
+        return False
+    residuals = leftover.views(best, selection.nothing)
+    left = leftover.unexplained(best, residuals)
+    return bool(left) and (not best.effects or leftover.explained(best, residuals) < EXPLAINED)
 
 
 def _part(report: Progress, begin: float, share: float) -> Progress:

@@ -51,6 +51,7 @@ class Chains:
         self.period = motion.readings.period
         self.t = motion.readings.time - motion.readings.start
         self.floating = motion.robot.file.offsets == "per_recording"
+        self.held = HELD  # times its level: the most that dry friction holds at rest
         self._cache: OrderedDict[object, Chain] = OrderedDict()  # the latest last
         self._lock = Lock()
         self._bases: dict[int, Base] = {}
@@ -265,7 +266,7 @@ class Chains:
         window = self.filter
         # what the encoder's noise makes of inertia x acceleration in the net torque
         slack = WIDE * inertia * encoder * float(np.sqrt(np.mean((window.omega**2 * window.gain) ** 2)))
-        bound = HELD * level + slack
+        bound = self.held * level + slack
         lost = 1.0 - window.gain
         integral = np.divide(lost, self.jomega, out=np.zeros_like(self.jomega), where=window.omega > 0)
         sharp_speed, sharp_net = speed, net
