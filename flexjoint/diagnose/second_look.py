@@ -114,10 +114,10 @@ def look_again(
     if not denied:
         return None
     look = _Look(robot, recording, here, candidates)
-    before = look.errors(selection.best.effects)
+    best = _still_earning(at_own_level(fit(here, selection.best.effects)))
+    before = look.errors(best.effects)
     if before is None:
         return None
-    best = _still_earning(at_own_level(fit(here, selection.best.effects)))
     rivals: dict[tuple[str, str | None], tuple[Fit, ...]] = {}
     for k in denied:
         report(k / len(robot.joints), f"looking again at {robot.joint_names[k]}")
