@@ -11,12 +11,13 @@ from planting import Planted
 
 from flexjoint.diagnose import chain, scan
 from flexjoint.diagnose import workspace as workspaces
+from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.scan import Scanner
 from flexjoint.diagnose.shared_numbers import SharedNumbers
-from flexjoint.diagnose.workspace import Workspace, balances_of
+from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import plan
 
 GAP = Planted("backlash", "elbow", {"gap": 0.009})

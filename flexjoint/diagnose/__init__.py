@@ -5,19 +5,20 @@ recording -> readings -> motion -> balances -> whitening -> selection -> verdict
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from flexjoint.diagnose import held_out, leftover, refined, verdict
-from flexjoint.diagnose.balances import Balances
+from flexjoint.diagnose.balances import Balances, balances_of
 from flexjoint.diagnose.candidates import STILL, enumerate_candidates
 from flexjoint.diagnose.experiment import advice
 from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnose.second_look import look_again
 from flexjoint.diagnose.selection import Selection, select
 from flexjoint.diagnose.together import combine
 from flexjoint.diagnose.verdict import Errors, Key
-from flexjoint.diagnose.workspace import Workspace, balances_of
+from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Diagnosis, Estimation, Finding
 from flexjoint.effect import catalogue
 from flexjoint.errors import RecordingError, unknown
@@ -58,9 +59,7 @@ def diagnose(
     """
     if not recordings:
         raise RecordingError("no recording given; expected at least one")
-    for name in excluded:
-        if name not in catalogue():
-            raise unknown("effect", name, catalogue())
+    _check_names(excluded)
     report: Progress = progress or (lambda _share, _what: None)
     recording, robots = recordings[0], _loaded(robot, recordings, payloads)
     robot = robots[0]
@@ -69,12 +68,11 @@ def diagnose(
     refusal = _refusal(balances)
     if refusal:
         return Diagnosis("refused", refusal)
-    workspace = Workspace(balances)
+    workspace, spread = Workspace(balances), dict[Key, Errors]()
     candidates = enumerate_candidates(workspace, excluded)
     share = 0.92 / len(recordings)
     selection = select(workspace, candidates, _part(report, 0.0, share))
     selection, notes = verdict.sure(selection)
-    spread: Mapping[Key, Errors] = {}
     if len(recordings) > 1:
         others = [
             _searched(robots[k], other, excluded, _part(report, k * share, share))
@@ -82,14 +80,14 @@ def diagnose(
         ]
         together = combine([selection, *others])
         selection, spread, notes = together.selection, together.errors, notes + together.notes
-    notes += tuple(
-        f"{other.name} was recorded with a known payload of {payload}"
-        for other, payload in zip(recordings, payloads, strict=False)
-        if payload is not None
-    )
     report(0.92, "measuring the gain on held-out data")
     selection, measured, worse = held_out.confirmed(robot, recording, workspace, selection)
-    notes += worse
+    notes += (*_known(recordings, payloads), *worse)
+    if len(recordings) == 1 and measured is not None and _doubtful(selection):
+        again = look_again(robot, recording, workspace, selection, candidates, _part(report, 0.92, 0.02))
+        if again is not None:
+            workspace, selection, notes = again.workspace, again.selection, (*notes, *again.notes)
+            measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
     while True:
         best = selection.best
         residuals = leftover.views(best, selection.nothing)
@@ -100,9 +98,10 @@ def diagnose(
         doubtful, why = verdict.improbable(found), "something like {} would help, but others fit as well"
         if not doubtful:
             found, estimation, told = _estimated(robot, recordings, best, found, refine, report)
-            refined_so = estimation is not None and estimation.method == "output_error"
-            doubtful = verdict.vanishing(best, found) if refined_so else ()
-            why = "the simulation does not tell {} from none"
+            doubtful, why = (
+                verdict.vanishing(best, found, estimation),
+                "the simulation does not tell {} from none",
+            )
         if not doubtful:
             break
         for finding in doubtful:
@@ -135,6 +134,12 @@ def diagnose(
     )
 
 
+def _check_names(excluded: frozenset[str]) -> None:
+    for name in excluded:
+        if name not in catalogue():
+            raise unknown("effect", name, catalogue())
+
+
 def _loaded(
     robot: Robot, recordings: Sequence[Recording], payloads: Sequence[KnownPayload | None]
 ) -> list[Robot]:
@@ -145,6 +150,14 @@ def _loaded(
             f" got {len(payloads)}"
         )
     return [robot if load is None else load.on(robot) for load in payloads or [None] * len(recordings)]
+
+
+def _known(recordings: Sequence[Recording], payloads: Sequence[KnownPayload | None]) -> tuple[str, ...]:
+    return tuple(
+        f"{recording.name} was recorded with a known payload of {payload}"
+        for recording, payload in zip(recordings, payloads, strict=False)
+        if payload is not None
+    )
 
 
 def _searched(robot: Robot, recording: Recording, excluded: frozenset[str], report: Progress) -> Selection:
@@ -177,6 +190,16 @@ def _estimated(
     found, estimation = refined.refine(robot, recordings[0], best, found)
     why = estimation.why
     return found, estimation, (f"numbers are those of the torque balances: {why}",) if why else ()
+
+
+def _doubtful(selection: Selection) -> bool:
+    """Whether an error is left and only implausible nominal numbers would explain it."""
+    best = selection.best
+    if best.workspace.strain <= leftover.STRAINED:
+        return False
+    residuals = leftover.views(best, selection.nothing)
+    left = leftover.unexplained(best, residuals)
+    return bool(left) and (not best.effects or leftover.explained(best, residuals) < EXPLAINED)
 
 
 def _part(report: Progress, begin: float, share: float) -> Progress:

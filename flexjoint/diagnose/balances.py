@@ -19,8 +19,11 @@ import numpy as np
 from scipy import fft
 
 from flexjoint.diagnose.chain import Chain, Chains
-from flexjoint.diagnose.motion import Motion
+from flexjoint.diagnose.motion import Motion, reconstruct
+from flexjoint.diagnose.signals import denoised, prepare
 from flexjoint.effect import Planned, Site
+from flexjoint.recording import Recording
+from flexjoint.robot import Robot
 
 MOTOR, LINK, SPRING = "motor", "link", "spring"
 
@@ -134,6 +137,15 @@ class TwinBalances(Balances):
         super().__init__(motion)
         self.quiet = Balances(quiet)
         self.chains.calm = self.quiet.chains
+
+
+def balances_of(robot: Robot, recording: Recording) -> TwinBalances:
+    """The balances of a recording against a robot, with a denoised twin; RecordingError when the
+    sensors do not allow any."""
+    readings = prepare(robot, recording)
+    return TwinBalances(
+        reconstruct(robot, readings, recording), reconstruct(robot, denoised(readings), recording)
+    )
 
 
 def _rows(motion: Motion) -> list[Row]:

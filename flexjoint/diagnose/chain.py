@@ -50,7 +50,7 @@ class Chains:
         self.calm: Chains | None = None  # of the same motion without its sensors' noise
         self._recent: Recent[Chain] = Recent()
         self._bases: dict[int, Base] = {}
-        self._friction = DryFriction(motion.filter, motion.readings.sigma)
+        self.friction = DryFriction(motion.filter, motion.readings.sigma)
 
     def base(self, i: int) -> Base:
         if i not in self._bases:
@@ -281,7 +281,7 @@ class Chains:
         for e in effects:
             value = e.effect.level(signals, e.p, self._state(e, moved)) * np.ones_like(speed)
             level = level + self._since(e, value, np.zeros_like(value))
-        return self._friction.spectrum(level, speed, net, calm_net, inertia, encoder)
+        return self.friction.spectrum(level, speed, net, calm_net, inertia, encoder)
 
     # ------------------------------------------------------------------ helpers
     def _state(self, e: Planned, signals: Signals) -> np.ndarray | float:

@@ -25,6 +25,7 @@ class DryFriction:
 
     def __init__(self, window: Filter, sigma: float) -> None:
         self._window, self._sigma = window, sigma
+        self.held = HELD  # times its level: the most that a friction holds at rest
         jomega = 1j * window.omega
         # what the filter makes of white noise's second derivative; what it takes away, and its integral
         self._roughness = float(np.sqrt(np.mean((window.omega**2 * window.gain) ** 2)))
@@ -48,15 +49,14 @@ class DryFriction:
         """
         window = self._window
         # what the encoder's noise makes of inertia x acceleration in the net torque
-        bound = HELD * level + WIDE * inertia * encoder * self._roughness
+        most = self.held * level
+        bound = most + WIDE * inertia * encoder * self._roughness
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
         reach = 2 * int(np.ceil(CALM_SIGMAS * self._sigma / self._window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
             moving = np.abs(sharp_speed) > REST_SPEED
             near = maximum_filter1d(moving, reach)
-            held = np.where(
-                near, np.clip(sharp_net, -bound, bound), np.clip(calm_net + lost, -HELD * level, HELD * level)
-            )
+            held = np.where(near, np.clip(sharp_net, -bound, bound), np.clip(calm_net + lost, -most, most))
             friction = np.where(moving, level * np.sign(sharp_speed), held)
             spectrum = window.spectrum(friction)
             if further:

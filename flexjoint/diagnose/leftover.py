@@ -31,7 +31,7 @@ def views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
     before = series([*workspace.nominal, *offsets])
     held = [*workspace.with_nominal(best.effects), *shifts(best)]
     after = series(held)
-    noise = workspace.whitening.deviation
+    noise = workspace.deviation
     out = []
     for row, old, new, expected in zip(balances.rows, before, after, noise, strict=True):
         joint = workspace.robot.joints[row.joint]

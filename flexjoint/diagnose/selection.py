@@ -26,6 +26,7 @@ PRICE_NUMBER = 12.0  # and for each further number, or an onset: more than chanc
 METHOD_ERROR = (
     1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
 )
+BLIND = 24.0  # more where a position is made of the nominal model, which is known to first order only
 LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
 FILTERED = 1e-5  # share of the explained energy by which laws differ as filtered balances see their kinks
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
@@ -64,7 +65,8 @@ def price(effects: Sequence[Planned]) -> float:
 
 def score(result: Fit) -> float:
     """What is compared: energy plus price."""
-    return result.energy + price(result.effects)
+    blind = BLIND * len(result.effects) if result.workspace.motion.missing else 0.0
+    return result.energy + price(result.effects) + blind
 
 
 def select(

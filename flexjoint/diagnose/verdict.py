@@ -11,7 +11,7 @@ import numpy as np
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.selection import Selection, at_own_level, degenerate, leftover, score
-from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
+from flexjoint.diagnosis import Estimation, Finding, Fitted, Ranked, Tie, WithinTolerance
 from flexjoint.effect import Kind, Planned
 
 TIE = 12.0  # score by which a rival may lose and still fit as well
@@ -62,9 +62,12 @@ def improbable(found: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(f for f in found if f.probability * (1 + len(f.indistinguishable)) < PROBABLE)
 
 
-def vanishing(best: Fit, found: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Findings of which no number, as it is reported, differs from its absence by SURE standard errors: where
-    friction rests, the curvature of a balance can promise what a simulation does not keep."""
+def vanishing(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
+    """Findings, where they were refined on the simulation, of which no number, as it is reported, differs from
+    its absence by SURE standard errors: where friction rests, the curvature of a balance can promise what a
+    simulation does not keep."""
+    if estimation is None or estimation.method != "output_error":
+        return ()
     listed = {e.key for e in best.workspace.nominal}  # of these the change is reported
     out = []
     for f in found:

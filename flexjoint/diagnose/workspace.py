@@ -19,14 +19,10 @@ from scipy.linalg import cho_factor, cho_solve
 from flexjoint.diagnose import whitening
 from flexjoint.diagnose.balances import TwinBalances
 from flexjoint.diagnose.chain import identity
-from flexjoint.diagnose.motion import reconstruct
 from flexjoint.diagnose.nuisance import Columns, as_effects
 from flexjoint.diagnose.recent import Recent
-from flexjoint.diagnose.signals import denoised, prepare
 from flexjoint.diagnose.whitening import Band
 from flexjoint.effect import Planned, Signals
-from flexjoint.recording import Recording
-from flexjoint.robot import Robot
 
 PLAUSIBLE = 2.5  # prior deviations up to which a nominal number may be off before a cause must be sought
 NOISY = 3.0  # temper above which sensor noise no longer decides anything
@@ -345,6 +341,11 @@ class Workspace:
         return a - self.along(cho_solve(self._gram, self.across(a * self.squares).T).T)
 
     @property
+    def deviation(self) -> np.ndarray:
+        """(rows,) standard deviation that the sensors' noise has in each balance [N m]."""
+        return self.whitening.deviation
+
+    @property
     def noise_energy(self) -> float:
         """Energy that the predicted noise alone has at this temper."""
         return float(np.sum(1.0 / self.temper)) * self.freedom / len(self.temper)
@@ -393,12 +394,3 @@ def _add(spectra: dict[int, np.ndarray], more: dict[int, np.ndarray], sign: floa
     """Add spectra by row, in place."""
     for row, spectrum in more.items():
         spectra[row] = spectra.get(row, 0.0) + sign * spectrum
-
-
-def balances_of(robot: Robot, recording: Recording) -> TwinBalances:
-    """The balances of a recording against a robot, with a denoised twin; RecordingError when the
-    sensors do not allow any."""
-    readings = prepare(robot, recording)
-    return TwinBalances(
-        reconstruct(robot, readings, recording), reconstruct(robot, denoised(readings), recording)
-    )

@@ -17,7 +17,7 @@ class FrictionDrift(Effect):
     law = r"\tau_d\, e^{-t/T} \operatorname{sgn}\dot\theta"
     params = (
         Param("level", "N m", r"\tau_d", 0.2, 0.0, 1e4),
-        Param("time_constant", "s", "T", 60.0, 1e-2, 1e5, null=None),
+        Param("time_constant", "s", "T", 60.0, 1.0, 1e5, null=None),
     )
     contains = ("motor_coulomb_friction",)
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import Candidate, Trace, enumerate_candidates, traces
 from flexjoint.diagnose.fit import fit
-from flexjoint.diagnose.workspace import Workspace, balances_of
+from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Planned
 from flexjoint.model import FlexibleJointModel
 from flexjoint.recording import MEASURED, Recording, make

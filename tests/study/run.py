@@ -27,7 +27,8 @@ import flexjoint
 from flexjoint import robot
 from flexjoint.compare import compare
 from flexjoint.diagnose import diagnose, extended_model
-from flexjoint.diagnose.workspace import Workspace, balances_of
+from flexjoint.diagnose.balances import balances_of
+from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Diagnosis, Fitted
 from flexjoint.effect import catalogue, plan
 from flexjoint.errors import FlexJointError

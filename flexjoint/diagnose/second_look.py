@@ -1,0 +1,256 @@
+"""A second look where the first leaves the error unexplained: on real machines many things are wrong at once.
+
+The first look judges every balance at one level, which a single implausible nominal number raises for all of
+them, and both balances of a stiff joint rest on its link encoder: 0.1 mrad off times 5e6 N m/rad
+is more torque than most causes have. Here
+
+- what a joint's spring balance is off by counts as error of its link encoder: the sum of motor and link
+  balance, which needs no spring, then carries the weight;
+- which is done for joints whose link encoder and spring disagree by far more than the encoder's noise;
+- an implausible nominal number raises the level of its own joint's balances only;
+- dry friction at rest holds no more than its level;
+- and a cause is taken on the evidence of the simulation: it must lower the error of its own joint clearly,
+  with numbers that come from the balances. A wrong cause that makes a balance small does not do that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flexjoint.compare import compare
+from flexjoint.diagnose.balances import MOTOR, TwinBalances
+from flexjoint.diagnose.candidates import Candidate
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.held_out import HORIZON
+from flexjoint.diagnose.motion import reconstruct
+from flexjoint.diagnose.scan import Scanner
+from flexjoint.diagnose.selection import Selection, at_own_level, degenerate, worthwhile
+from flexjoint.diagnose.signals import denoised
+from flexjoint.diagnose.workspace import PLAUSIBLE, TEMPER_ROUNDS, Workspace
+from flexjoint.effect import Planned, Site
+from flexjoint.errors import FlexJointError
+from flexjoint.model import FlexibleJointModel
+from flexjoint.recording import Recording
+from flexjoint.robot import Robot
+
+TRIED = 4  # candidates of a joint that are fitted and simulated
+WORTH_TRYING = 10.0  # energy that a candidate must remove to first order: the price of one number
+WRONG = 10.0  # variance, in predicted ones, from which a balance is wrong
+HALVED = 2.0  # factor in variance by which a cause must leave less in the wrong balances of its joint, and
+CLEARLY = 1.5  # factor by which it must lower the error of that joint's simulation;
+BESIDE = 1.25  # the latter for the joint's nominal dry friction, beside another one
+DISTURBING = (
+    1.25  # factor by which no other joint's error may grow: joints that are coupled hide each other's
+)
+DENIED = 10.0  # times its predicted noise, from which a link encoder and its spring disagree
+HELD_AT_REST = 1.0  # of its level: what dry friction holds
+MOST_STRAIN = 2.0**12
+
+Progress = Callable[[float, str], None]
+
+
+class JointwiseWorkspace(Workspace):
+    """A workspace in which implausible nominal numbers raise the level of their own joint's balances only."""
+
+    def __init__(self, balances: TwinBalances, deviation: np.ndarray) -> None:
+        super().__init__(balances)
+        self._deviation = deviation
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(rows,) standard deviation that the sensors' own noise has in each balance [N m]: what is left is
+        reported against that."""
+        return self._deviation
+
+    def tempered(self, y: np.ndarray) -> Workspace:
+        """As `Workspace.tempered`, joint by joint."""
+        base, strain = settled(self, y), np.ones_like(self.temper)
+        here = self.at(base)
+        rows = np.array([row.joint for row in self.balances.rows])
+        owner = np.array(
+            [-1 if n.joint is None else self.robot.joint_names.index(n.joint) for n in self.nuisance]
+        )
+        while True:
+            far = np.abs(here.deviations(y))
+            full = [
+                j
+                for j in range(len(self.robot.joints))
+                if np.max(strain[rows == j], initial=0.0) >= MOST_STRAIN
+            ]
+            far[(owner < 0) | np.isin(owner, full) | ~np.isin(owner, rows)] = 0.0
+            if not far.size or np.max(far) <= PLAUSIBLE:
+                break
+            strain[rows == owner[np.argmax(far)]] *= 2.0
+            here = here.at(base * strain, float(np.max(strain)))
+        return here.at(np.maximum(here.temper, here.levels(y)), float(np.max(strain)))
+
+
+def settled(workspace: Workspace, y: np.ndarray) -> np.ndarray:
+    """(rows,) variances that a residual shows once the nominal numbers have explained what they can."""
+    here = workspace.at(np.ones_like(workspace.temper))
+    for _ in range(TEMPER_ROUNDS):
+        levels = here.levels(y)
+        if np.all(levels <= 1.02 * here.temper):
+            break
+        here = here.at(np.maximum(levels, here.temper))
+    return here.temper
+
+
+@dataclass(frozen=True)
+class SecondLook:
+    """The selection with what the second look found, in the workspace it was found in."""
+
+    workspace: Workspace
+    selection: Selection
+    notes: tuple[str, ...]
+
+
+def look_again(
+    robot: Robot,
+    recording: Recording,
+    workspace: Workspace,
+    selection: Selection,
+    candidates: Sequence[Candidate],
+    report: Progress,
+) -> SecondLook | None:
+    """Causes that the simulation confirms where the first look left errors unexplained; None: no more than
+    there were, or the recording cannot drive a simulation."""
+    here = _workspace(robot, recording, workspace, selection.best)
+    # elsewhere the first look had all that there is
+    denied = np.flatnonzero(here.readings.noise["q"] > DENIED * workspace.readings.noise["q"]).tolist()
+    if not denied:
+        return None
+    look = _Look(robot, recording, here, candidates)
+    best = _still_earning(at_own_level(fit(here, selection.best.effects)))
+    before = look.errors(best.effects)
+    if before is None:
+        return None
+    rivals: dict[tuple[str, str | None], tuple[Fit, ...]] = {}
+    for k in denied:
+        report(k / len(robot.joints), f"looking again at {robot.joint_names[k]}")
+        found = look.best_of(best, before, k)
+        if found is None:
+            continue
+        best, before, others = found
+        rivals[best.effects[-1].key] = others
+        beside = look.beside(best, before, k)
+        if beside is not None:
+            best, before = beside
+            rivals[best.effects[-1].key] = ()
+    if not rivals:
+        return None
+    found_first = dict(zip((e.key for e in selection.best.effects), selection.rivals, strict=False))
+    together = tuple(rivals.get(e.key, found_first.get(e.key, ())) for e in best.effects)
+    nothing = at_own_level(fit(here, []))
+    note = "the balances alone did not decide: " + ", ".join(str(e) for e in best.effects if e.key in rivals)
+    note += " named because the simulation of the joint needs it"
+    return SecondLook(here, replace(selection, best=best, nothing=nothing, rivals=together), (note,))
+
+
+class _Look:
+    """Tries the candidates of one joint after the other."""
+
+    def __init__(
+        self, robot: Robot, recording: Recording, workspace: Workspace, candidates: Sequence[Candidate]
+    ) -> None:
+        self.robot, self.recording, self.workspace = robot, recording, workspace
+        # what a sensor shows changes no motion: the simulation cannot speak for it
+        self.candidates = [c for c in candidates if c.joint is not None and c.effect.site is not Site.SENSOR]
+
+    def errors(self, effects: Sequence[Planned]) -> np.ndarray | None:
+        """(n,) mean NRMSE of each joint's simulated positions; None: it cannot be simulated."""
+        try:
+            run = compare(self.recording, FlexibleJointModel(self.robot.extended(effects)), HORIZON)
+        except FlexJointError:
+            return None
+        sizes = [
+            [run.nrmse[key] for key in (f"q.{joint}", f"theta.{joint}") if key in run.nrmse]
+            for joint in self.robot.joint_names
+        ]
+        return np.array([np.mean(size) if size else np.nan for size in sizes])
+
+    def cleared(self, best: Fit, trial: Fit, k: int) -> float:
+        """Factor in variance by which a set leaves less in the balances of joint k."""
+        rows = np.array([row.joint == k for row in self.workspace.balances.rows])
+        plain = self.workspace.at(np.ones_like(self.workspace.temper))
+        before, after = (settled(plain, f.y)[rows] for f in (best, trial))
+        wrong = before > WRONG
+        return float(np.exp(np.mean(np.log(before[wrong] / after[wrong])))) if np.any(wrong) else 1.0
+
+    def best_of(
+        self, best: Fit, before: np.ndarray, k: int
+    ) -> tuple[Fit, np.ndarray, tuple[Fit, ...]] | None:
+        """The set with the cause of joint k that lowers its simulated error most, the errors then, and the
+        other sets that do so clearly."""
+        own = [c for c in self.candidates if c.joint == self.robot.joint_names[k]]
+        # an onset is sought over the whole record: by chance one fits something small
+        scanned = [s for s in Scanner(own).scan(best) if s.removes >= WORTH_TRYING and s.since is None]
+        found: list[tuple[float, Fit, np.ndarray]] = []
+        for scored in scanned[:TRIED]:
+            trial = at_own_level(fit(best.workspace, [*best.effects, scored.planned()]))
+            if degenerate(trial.effects[-1]) or _unlimited(trial.effects[-1]):
+                continue
+            if self.cleared(best, trial, k) < HALVED:
+                continue
+            errors = self.errors(trial.effects)
+            if errors is None or np.any(errors > DISTURBING * before):
+                continue
+            found.append((float(before[k] / errors[k]), trial, errors))
+        found = sorted((f for f in found if f[0] >= CLEARLY), key=lambda one: -one[0])
+        if not found:
+            return None
+        _, chosen, errors = found[0]
+        return chosen, errors, tuple(fit(chosen.workspace, f.effects) for _, f, _ in found[1:])
+
+    def beside(self, best: Fit, before: np.ndarray, k: int) -> tuple[Fit, np.ndarray] | None:
+        """Where a dry friction was found: the set with the joint's nominal one set free, too, and the errors
+        then, if the simulation needs that. Two dry frictions of a joint are known only together."""
+        added = best.effects[-1]
+        nominal = [
+            e for e in self.workspace.nominal if e.joint == added.joint and e.effect.overrides("level")
+        ]
+        if not added.effect.overrides("level") or len(nominal) != 1 or nominal[0].key == added.key:
+            return None
+        trial = at_own_level(fit(best.workspace, [*best.effects, nominal[0]]))
+        errors = self.errors(trial.effects)
+        if errors is None or before[k] < BESIDE * errors[k] or np.any(errors > DISTURBING * before):
+            return None
+        return trial, errors
+
+
+def _still_earning(best: Fit) -> Fit:
+    """The first look's set without what was named on the word of a link encoder that is not trusted here."""
+    for planned in best.effects:
+        without = fit(best.workspace, [e for e in best.effects if e is not planned])
+        if len(best.effects) > 1 and not worthwhile(best, without, planned):
+            return _still_earning(at_own_level(without))
+    return best
+
+
+def _unlimited(planned: Planned) -> bool:
+    """Whether a size lies at its upper bound: the data do not limit it."""
+    return any(
+        bool(np.isclose(planned.values[p.name], p.high, rtol=0.1, atol=0.0))
+        for p in planned.effect.nulls
+        if p.size == 1
+    )
+
+
+def _workspace(robot: Robot, recording: Recording, first: Workspace, best: Fit) -> Workspace:
+    """The recording's balances with the link encoders' noise at what the springs' balances are off by."""
+    balances, readings = first.balances, first.readings
+    residual = balances.residual(first.with_nominal(best.effects))
+    noise = np.array(readings.noise["q"], dtype=float)
+    for row, series in zip(balances.rows, balances.time_series(residual), strict=True):
+        joint = robot.joints[row.joint]
+        if row.balance == MOTOR and not joint.rigid and np.isfinite(readings.q[row.joint, 0]):
+            off = float(np.std(series[readings.valid])) / joint.drive.K
+            noise[row.joint] = max(noise[row.joint], off)
+    blunt = replace(readings, noise={**readings.noise, "q": noise})
+    twins = TwinBalances(reconstruct(robot, blunt, recording), reconstruct(robot, denoised(blunt), recording))
+    for one in (twins, twins.quiet):
+        one.chains.friction.held = HELD_AT_REST
+    return JointwiseWorkspace(twins, first.deviation)

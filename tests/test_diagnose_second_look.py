@@ -1,0 +1,82 @@
+"""The second look: what it names on a real robot, that it leaves a healthy machine alone, and its levels."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from diagnose_cases import Case, as_recording, nominal
+
+from flexjoint import recording
+from flexjoint.diagnose.balances import balances_of
+from flexjoint.diagnose.candidates import enumerate_candidates
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.second_look import JointwiseWorkspace, SecondLook, look_again
+from flexjoint.diagnose.selection import Selection, at_own_level
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.effect import Planned, plan
+from flexjoint.recording import Recording
+from flexjoint.robot import Robot, load, robots_folder
+
+TRIED = ("breakaway_friction", "torque_saturation", "motor_coulomb_friction", "friction_drift")
+LATE = 3.05e-3  # s by which the KR300's link encoders read late (robots/kr300/README.md)
+
+
+def first_look(workspace: Workspace, causes: list[Planned]) -> Selection:
+    best: Fit = at_own_level(fit(workspace, causes))
+    return Selection(best, at_own_level(fit(workspace, [])), (), (), tuple(() for _ in causes))
+
+
+def seen(
+    robot: Robot, measured: Recording, causes: list[Planned], joints: tuple[str, ...]
+) -> SecondLook | None:
+    """A second look at some effects on some joints, on top of what a first look named."""
+    workspace = Workspace(balances_of(robot, measured))
+    tried = [c for c in enumerate_candidates(workspace) if c.effect.name in TRIED and c.joint in joints]
+    return look_again(robot, measured, workspace, first_look(workspace, causes), tried, lambda _s, _w: None)
+
+
+@cache
+def on_kr300(name: str) -> SecondLook | None:
+    measured = recording.read(robots_folder() / "kr300" / "recordings" / f"{name}.parquet")
+    late = [plan("sensor_delay", f"joint_{i}", {"delay": LATE, "channel": "q"}) for i in (1, 2, 3)]
+    return seen(load("kr300"), measured, late, ("joint_2", "joint_3", "joint_6"))
+
+
+@pytest.mark.parametrize("name", ["rec_A"])
+def test_the_real_robot_breaks_away_late(name: str) -> None:
+    """At rest the torques that joints 2 and 3 of the KR300 withstand before they first move are 1580 to 1690
+    and 1440 to 1520 N m (the raw torques less the model's load); the nominal friction is 242 and 294 N m."""
+    found = on_kr300(name)
+    assert found is not None
+    named = {(e.effect.name, e.joint): e for e in found.selection.best.effects}
+    at_rest = {"joint_2": (1580.0, 1690.0), "joint_3": (1440.0, 1520.0)}
+    for joint, (low, high) in at_rest.items():
+        size = named["breakaway_friction", joint].values["level"]
+        beside = named.get(("motor_coulomb_friction", joint))
+        level = size + (242.33 if joint == "joint_2" else 294.494 if beside is None else 0.0)
+        level = size + float(beside.values["level"]) if beside is not None else level
+        assert 0.85 * low < level < 1.15 * high  # the filter rounds the moment of breaking away
+    assert not any(joint == "joint_6" for _, joint in named)  # which has no link encoder to be off
+
+
+def test_a_healthy_machine_is_left_alone() -> None:
+    case = Case("gimbal", "rich", 5, "encoders", inexact=0.02)
+    robot = nominal(case.robot)
+    assert seen(robot, as_recording(case.with_causes()), [], robot.joint_names) is None
+
+
+def test_an_implausible_number_raises_the_level_of_its_own_joint_only() -> None:
+    case = Case("gimbal", "rich", 5)
+    robot = nominal(case.robot)
+    workspace = JointwiseWorkspace(balances_of(robot, as_recording(case.with_causes())))
+    k = next(i for i, n in enumerate(workspace.nuisance) if n.name == "motor_inertia")
+    off = 30.0 * workspace.J[k]  # thirty deviations: no tolerance stands for that
+    judged = workspace.tempered(workspace.whitened(workspace.nominal) + off)
+    own = np.array(
+        [robot.joint_names[r.joint] == workspace.nuisance[k].joint for r in workspace.balances.rows]
+    )
+    motor = own & np.array([r.balance == "motor" for r in workspace.balances.rows])
+    assert judged.temper[motor].min() > 100.0 * judged.temper[~own].max()
+    assert judged.strain > 1.0
