@@ -63,9 +63,9 @@ def improbable(found: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def vanishing(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
-    """Findings, where they were refined on the simulation, of which no number, as it is reported, differs from
-    its absence by SURE standard errors: where friction rests, the curvature of a balance can promise what a
-    simulation does not keep."""
+    """Findings, where they were refined on the simulation, of which no number, as it is reported, differs
+    from its absence by SURE standard errors: where friction rests, the curvature of a balance can promise
+    what a simulation does not keep."""
     if estimation is None or estimation.method != "output_error":
         return ()
     listed = {e.key for e in best.workspace.nominal}  # of these the change is reported
