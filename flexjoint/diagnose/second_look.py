@@ -253,4 +253,5 @@ def _workspace(robot: Robot, recording: Recording, first: Workspace, best: Fit) 
     twins = TwinBalances(reconstruct(robot, blunt, recording), reconstruct(robot, denoised(blunt), recording))
     for one in (twins, twins.quiet):
         one.chains.friction.held = HELD_AT_REST
+    twins.chains.calm = None  # an error that is no noise is not to be filtered out of what holds a body
     return JointwiseWorkspace(twins, first.deviation)
