@@ -182,8 +182,11 @@ def _trace(
         p.name: float(p.null or 0.0) if listed is None else float(listed.values[p.name]) for p in effect.nulls
     }
 
+    # between two noises that are moved apart lies a smaller one, which is no trace of a delay
+    moved = workspace.calmly_moved_band if effect.overrides("delay") else workspace.moved_band
+
     def column(values: Mapping[str, Any]) -> Band:
-        return workspace.moved_band(base, [*without, candidate.planned(values)])
+        return moved(base, [*without, candidate.planned(values)])
 
     white = workspace.whitening
 

@@ -119,9 +119,10 @@ def at_own_level(result: Fit) -> Fit:
 
 
 def at_noise(best: Fit) -> Fit | None:
-    """The set fitted at the level of the predicted noise; None where no balance is wrong."""
+    """The set fitted at the level of the predicted noise; None where neither a balance is wrong nor a nominal
+    number implausible."""
     workspace = best.workspace
-    if not np.any(workspace.temper / workspace.strain > CLEARED):
+    if workspace.strain <= 1.0 and not np.any(workspace.temper > CLEARED):
         return None
     return fit(workspace.at(np.ones_like(workspace.temper)), best.effects)
 
@@ -129,24 +130,28 @@ def at_noise(best: Fit) -> Fit | None:
 def clearing(
     best: Fit, trials: Sequence[Fit], bare: Fit | None, scanned: Sequence[tuple[Scored, ...]]
 ) -> list[Fit]:
-    """Sets of one more effect that leave a tenth of the variance in the balances that are wrong, each at the
-    level that it leaves. At the level of `best`, at which hardly anything counts, they need not show: the
-    scan of the `bare` set at the predicted noise is looked at, too."""
+    """Sets of one more effect that leave a tenth of the variance in the balances that are wrong, or no
+    nominal number implausible, each at the level that it leaves. At the level of `best`, at which hardly
+    anything counts, they need not show: the scan of the `bare` set at the predicted noise is looked at,
+    too."""
     if bare is None:
         return []
+    strained = best.workspace.strain > 1.0
     left = best.workspace.temper / best.workspace.strain
     wrong = left > CLEARED
 
     def clears(levels: np.ndarray) -> bool:
-        return bool(np.mean(np.log(left[wrong] / levels[wrong])) >= np.log(CLEARED))
+        return bool(np.any(wrong) and np.mean(np.log(left[wrong] / levels[wrong])) >= np.log(CLEARED))
 
     out = []
     for trial in (*trials, *(one for scan in scanned for one in polish(bare, scan))):
-        if clears(bare.workspace.levels(trial.y)):
+        if strained or clears(bare.workspace.levels(trial.y)):
             settled = at_own_level(trial)
-            without = fit(settled.workspace, best.effects)
-            if clears(settled.workspace.temper) and worthwhile(settled, without, settled.effects[-1]):
-                out.append(settled)
+            relieved = strained and settled.workspace.strain <= 1.0
+            if relieved or clears(settled.workspace.temper):
+                without = fit(settled.workspace, best.effects)
+                if worthwhile(settled, without, settled.effects[-1]):
+                    out.append(settled)
     return out
 
 

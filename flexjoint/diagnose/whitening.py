@@ -250,16 +250,10 @@ def sensor_slope(e: Planned) -> float:
 
 
 def changes_noise(e: Planned) -> bool:
-    """Whether an effect changes how large sensor noise is in the balances."""
+    """Whether an effect changes what sensor noise makes of the balances."""
     if e.effect.site is Site.SENSOR:
         return not np.isclose(sensor_slope(e), 1.0, atol=0.01)
     return e.effect.overrides("edit_drive") or e.effect.overrides("edit_inertial")
-
-
-def moves_noise(e: Planned) -> bool:
-    """Whether an effect changes how large sensor noise is in the balances, or when one balance has the noise
-    that another has."""
-    return changes_noise(e) or (e.effect.site is Site.SENSOR and e.effect.overrides("delay"))
 
 
 def _drive(joint: Joint, effects: Sequence[Planned]) -> Drive:

@@ -203,10 +203,10 @@ class Workspace:
     def residual(self, extra: Sequence[Planned]) -> np.ndarray:
         """(samples,) whitened residual with these effects beyond (or instead of) the nominal model's.
 
-        Effects that change what noise makes of a balance (an inertia, a stiffness, a gain, a late sensor)
-        enter through their trace on the denoised recording: a fit must not be drawn towards numbers that
-        shrink a balance, and its noise with it (errors in variables; Fuller 1987). Remembered: it is the same
-        at any level, and made of the nominal model's by what changes, joint by joint."""
+        Effects that change what noise makes of a balance (an inertia, a stiffness, a gain) enter through
+        their trace on the denoised recording: a fit must not be drawn towards numbers that shrink a balance,
+        and its noise with it (errors in variables; Fuller 1987). Remembered: it is the same at any level, and
+        made of the nominal model's by what changes, joint by joint."""
         return self.remembered("residual", extra, lambda: self._residual(extra))
 
     def _residual(self, extra: Sequence[Planned]) -> np.ndarray:
@@ -236,11 +236,16 @@ class Workspace:
             _add(change, self.balances.quiet.changed(a, b), -1.0)
         return self.whitening.band(change)
 
+    def calmly_moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
+        """`moved_band` along the denoised recording."""
+        change = self.balances.quiet.changed(self.with_nominal(extra), self.with_nominal(other))
+        return self.whitening.band(change)
+
     def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
-        kept = [e for e in extra if not whitening.moves_noise(e)]
+        kept = [e for e in extra if not whitening.changes_noise(e)]
         replaced = {e.key for e in extra}
-        return [e for e in self.nominal if e.key not in replaced or whitening.moves_noise(e)] + kept
+        return [e for e in self.nominal if e.key not in replaced or whitening.changes_noise(e)] + kept
 
     def with_nominal(self, extra: Sequence[Planned]) -> list[Planned]:
         """The nominal model's effects with these added; one that it lists already is replaced."""
