@@ -9,13 +9,13 @@ from study.score import outcome
 
 HARD = {
     33: "a delay whose torque is a quarter of the torque tolerance, and all that there is beside noise",
+    90: "friction at steps, whose kinks a finer law follows that the simulation speaks against",
     105: "friction of two levels, which a Coulomb level and an offset would make together",
     125: "friction below the torque tolerance, which clears what is wrong and leaves a hundredth of it",
     135: "fading friction, beside whose error nothing else counts before it is known",
     210: "a small ripple that sets in late, and clears what is wrong",
     259: "link friction below the torque tolerance, which clears what is wrong",
     270: "link friction too small to help a simulation that suffers from a spring 2 % off",
-    329: "eccentricity, beside which a balance promises an offset that a simulation does not keep",
 }
 
 NOISE = {

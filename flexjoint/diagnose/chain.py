@@ -237,8 +237,7 @@ class Chains:
             calm_net = self._time(own + calm.link) - self.calm.motion.rigid.tau[i]
         if self.floating:
             net, calm_net = net - np.mean(net), calm_net - np.mean(calm_net)
-        noise = float(self.motion.readings.noise["q"][i])
-        return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i), noise)
+        return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i))
 
     def _motor_friction(
         self,
@@ -254,11 +253,10 @@ class Chains:
             return 0.0
         rigid = self.motion.robot.joints[i].rigid
         inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
-        noise = float(self.motion.readings.noise["theta"][i])
         net = calm_net = self._time(net_hat)
         if self.calm is not None and calm is not None:
             calm_net = self._time(calm.motor - self.calm._load(i, calm.spring_torque, calm.link))
-        return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia, noise)
+        return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia)
 
     def _link_inertia(self, i: int) -> float:
         return float(np.mean(self.motion.rigid.mass[:, i, i]))
@@ -271,7 +269,6 @@ class Chains:
         net: np.ndarray,
         calm_net: np.ndarray,
         inertia: float,
-        encoder: float,
     ) -> np.ndarray:
         """Spectrum of the effects' dry friction (dry_friction.py)."""
         level = np.zeros_like(speed)
@@ -281,7 +278,7 @@ class Chains:
         for e in effects:
             value = e.effect.level(signals, e.p, self._state(e, moved)) * np.ones_like(speed)
             level = level + self._since(e, value, np.zeros_like(value))
-        return self.friction.spectrum(level, speed, net, calm_net, inertia, encoder)
+        return self.friction.spectrum(level, speed, net, calm_net, inertia)
 
     # ------------------------------------------------------------------ helpers
     def _state(self, e: Planned, signals: Signals) -> np.ndarray | float:

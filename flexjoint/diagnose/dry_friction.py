@@ -14,7 +14,6 @@ from scipy.ndimage import maximum_filter1d
 from flexjoint.diagnose.signals import Filter
 
 REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trusted
-WIDE = 3.0  # standard deviations of the net torque's noise by which its clip is widened
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
 CALM_SIGMAS = 5.0  # of the filter, within which of a motion a denoised acceleration rings
@@ -27,8 +26,7 @@ class DryFriction:
         self._window, self._sigma = window, sigma
         self.held = HELD  # times its level: the most that a friction holds at rest
         jomega = 1j * window.omega
-        # what the filter makes of white noise's second derivative; what it takes away, and its integral
-        self._roughness = float(np.sqrt(np.mean((window.omega**2 * window.gain) ** 2)))
+        # what the filter takes away, and its integral
         self._lost, nothing = 1.0 - window.gain, np.zeros_like(jomega)
         self._lost_integral = np.divide(self._lost, jomega, out=nothing, where=window.omega > 0)
 
@@ -39,24 +37,21 @@ class DryFriction:
         net: np.ndarray,
         calm_net: np.ndarray,
         inertia: float,
-        encoder: float,
     ) -> np.ndarray:
         """(F,) spectrum of the filtered friction torque, from series (N,): its level, the body's filtered
-        speed, what else pulls at it as measured and without noise; and the `encoder`'s noise [rad].
+        speed, and what else pulls at it, as measured and without noise.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
         """
         window = self._window
-        # what the encoder's noise makes of inertia x acceleration in the net torque
         most = self.held * level
-        bound = most + WIDE * inertia * encoder * self._roughness
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
         reach = 2 * int(np.ceil(CALM_SIGMAS * self._sigma / self._window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
             moving = np.abs(sharp_speed) > REST_SPEED
             near = maximum_filter1d(moving, reach)
-            held = np.where(near, np.clip(sharp_net, -bound, bound), np.clip(calm_net + lost, -most, most))
+            held = np.clip(np.where(near, sharp_net, calm_net + lost), -most, most)
             friction = np.where(moving, level * np.sign(sharp_speed), held)
             spectrum = window.spectrum(friction)
             if further:

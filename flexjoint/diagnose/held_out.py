@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from flexjoint.compare import Comparison, compare
 from flexjoint.diagnose.fit import Fit, fit, shifts
-from flexjoint.diagnose.selection import Selection
+from flexjoint.diagnose.selection import Selection, at_own_level, score
 from flexjoint.diagnose.verdict import without
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Gain
@@ -21,6 +22,7 @@ from flexjoint.robot import Robot
 
 BLOCK = 2.0  # s; every second block is held out
 HORIZON = 0.5  # s
+RIVALS_TRIED = 3  # in the place of a cause that the simulation speaks against
 WORSE = 1.2  # times the nominal error, from which a simulation counts as made worse
 
 
@@ -69,6 +71,13 @@ def confirmed(
         if not worse:
             break
         dropped = worse[-1]
+        instead = _instead(robot, recording, workspace, selection, dropped, measured)
+        if instead is not None:
+            selection, measured = instead
+            notes.append(
+                f"{dropped} would make the balance smaller but the simulation worse: its rival is named"
+            )
+            continue
         trial = without(selection, dropped)
         again = comparison(robot, recording, workspace, trial.best, measured)
         if again is None or _size(again, dropped.joint) > 0.95 * _size(measured, dropped.joint):
@@ -76,6 +85,33 @@ def confirmed(
         notes.append(f"{dropped} would make the balance smaller but the simulation worse: not named")
         selection, measured = trial, again
     return selection, measured, tuple(notes)
+
+
+def _instead(
+    robot: Robot,
+    recording: Recording,
+    workspace: Workspace,
+    selection: Selection,
+    dropped: Planned,
+    measured: Gain,
+) -> tuple[Selection, Gain] | None:
+    """The selection with the best rival of a cause in its place that the simulation does not speak against: a
+    finer law may follow what a filter makes of a simpler one."""
+    best = selection.best
+    k = best.effects.index(dropped)
+    others = [e for e in best.effects if e is not dropped]
+    bare = score(fit(best.workspace, others))
+    for rival in selection.rivals[k][:RIVALS_TRIED]:
+        joints = {j for j in (dropped.joint, rival.effects[-1].joint) if j is not None}
+        if score(rival) >= bare or len(rival.effects) > len(best.effects):
+            continue
+        settled = at_own_level(rival)
+        fair = comparison(robot, recording, workspace, settled, nothing=selection.nothing)
+        if fair is not None and not any(_worsened(fair, joint) for joint in joints):
+            kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
+            again = comparison(robot, recording, workspace, settled, measured)
+            return None if again is None else (replace(selection, best=settled, rivals=(*kept, ())), again)
+    return None
 
 
 def _worsened(gain: Gain, joint: str) -> bool:
