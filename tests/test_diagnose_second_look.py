@@ -70,7 +70,8 @@ def test_a_healthy_machine_is_left_alone() -> None:
 def test_an_implausible_number_raises_the_level_of_its_own_joint_only() -> None:
     case = Case("gimbal", "rich", 5)
     robot = nominal(case.robot)
-    workspace = JointwiseWorkspace(balances_of(robot, as_recording(case.with_causes())))
+    balances = balances_of(robot, as_recording(case.with_causes()))
+    workspace = JointwiseWorkspace(balances, np.ones(len(balances.rows)))
     k = next(i for i, n in enumerate(workspace.nuisance) if n.name == "motor_inertia")
     off = 30.0 * workspace.J[k]  # thirty deviations: no tolerance stands for that
     judged = workspace.tempered(workspace.whitened(workspace.nominal) + off)
