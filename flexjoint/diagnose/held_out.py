@@ -9,8 +9,8 @@ import numpy as np
 
 from flexjoint.compare import Comparison, compare
 from flexjoint.diagnose.fit import Fit, fit, shifts
-from flexjoint.diagnose.selection import Selection, at_own_level, score
-from flexjoint.diagnose.verdict import without
+from flexjoint.diagnose.selection import Selection, at_own_level, degenerate, score
+from flexjoint.diagnose.verdict import SURE, certainty, standard_errors, without
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Gain
 from flexjoint.effect import Planned
@@ -106,6 +106,9 @@ def _instead(
         if score(rival) >= bare or len(rival.effects) > len(best.effects):
             continue
         settled = at_own_level(rival)
+        named = settled.effects[-1]
+        if degenerate(named) or certainty(settled, named, standard_errors(settled)[-1]) < SURE:
+            continue
         fair = comparison(robot, recording, workspace, settled, nothing=selection.nothing)
         if fair is not None and not any(_worsened(fair, joint) for joint in joints):
             kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
