@@ -77,6 +77,15 @@ class Balances:
         """(..., F) -> (..., N)."""
         return fft.irfft(spectrum, self.filter.size, axis=-1)[..., : self.filter.count]
 
+    def torque_scale(self) -> np.ndarray:
+        """(n,) RMS torque of each joint [N m]: the larger of motor and load, about zero."""
+        readings = self.motion.readings
+        used = readings.valid
+        load = np.sqrt(np.mean(self.motion.rigid.tau[:, used] ** 2, axis=1))
+        torque = readings.torque[:, used]
+        drive = np.sqrt(np.mean(np.where(np.isfinite(torque), torque, 0.0) ** 2, axis=1))
+        return np.maximum(np.maximum(load, drive), 1e-6)
+
     # ------------------------------------------------------------------ parts
     def _all(self, effects: Sequence[Planned]) -> list[Chain]:
         return [

@@ -29,7 +29,7 @@ from flexjoint.diagnose.motion import reconstruct
 from flexjoint.diagnose.scan import Scanner
 from flexjoint.diagnose.selection import Selection, at_own_level, degenerate, worthwhile
 from flexjoint.diagnose.signals import denoised
-from flexjoint.diagnose.workspace import PLAUSIBLE, TEMPER_ROUNDS, Workspace
+from flexjoint.diagnose.workspace import PLAUSIBLE, Workspace
 from flexjoint.effect import Planned, Site
 from flexjoint.errors import FlexJointError
 from flexjoint.model import FlexibleJointModel
@@ -67,7 +67,7 @@ class JointwiseWorkspace(Workspace):
 
     def tempered(self, y: np.ndarray) -> Workspace:
         """As `Workspace.tempered`, joint by joint."""
-        base, strain = settled(self, y), np.ones_like(self.temper)
+        base, strain = self.settled(y).temper, np.ones_like(self.temper)
         here = self.at(base)
         rows = np.array([row.joint for row in self.balances.rows])
         owner = np.array(
@@ -86,17 +86,6 @@ class JointwiseWorkspace(Workspace):
             strain[rows == owner[np.argmax(far)]] *= 2.0
             here = here.at(base * strain, float(np.max(strain)))
         return here.at(np.maximum(here.temper, here.levels(y)), float(np.max(strain)))
-
-
-def settled(workspace: Workspace, y: np.ndarray) -> np.ndarray:
-    """(rows,) variances that a residual shows once the nominal numbers have explained what they can."""
-    here = workspace.at(np.ones_like(workspace.temper))
-    for _ in range(TEMPER_ROUNDS):
-        levels = here.levels(y)
-        if np.all(levels <= 1.02 * here.temper):
-            break
-        here = here.at(np.maximum(levels, here.temper))
-    return here.temper
 
 
 @dataclass(frozen=True)
@@ -175,8 +164,7 @@ class _Look:
     def cleared(self, best: Fit, trial: Fit, k: int) -> float:
         """Factor in variance by which a set leaves less in the balances of joint k."""
         rows = np.array([row.joint == k for row in self.workspace.balances.rows])
-        plain = self.workspace.at(np.ones_like(self.workspace.temper))
-        before, after = (settled(plain, f.y)[rows] for f in (best, trial))
+        before, after = (self.workspace.settled(f.y).temper[rows] for f in (best, trial))
         wrong = before > WRONG
         return float(np.exp(np.mean(np.log(before[wrong] / after[wrong])))) if np.any(wrong) else 1.0
 

@@ -53,7 +53,7 @@ class Workspace:
         self.balances = balances
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.readings = self.motion.readings
-        self.torque_scale = self._torque_scale()
+        self.torque_scale = balances.torque_scale()
         rows = self.balances.rows
         scale = np.array([self.torque_scale[r.joint] for r in rows])
         self.whitening = whitening.make(balances, scale, ())
@@ -165,15 +165,21 @@ class Workspace:
         other._weigh()
         return other
 
-    def tempered(self, y: np.ndarray) -> Workspace:
-        """The workspace at the variances that a residual y shows once the nominal numbers have explained
-        what they plausibly can; correlated leftovers count as the few independent samples they are."""
+    def settled(self, y: np.ndarray) -> Workspace:
+        """The workspace at the variances that a residual y shows once the nominal numbers have explained what
+        they can, plausible or not."""
         here = self.at(np.ones_like(self.temper))
         for _ in range(TEMPER_ROUNDS):
             levels = here.levels(y)
             if np.all(levels <= 1.02 * here.temper):
                 break
             here = here.at(np.maximum(levels, here.temper))
+        return here
+
+    def tempered(self, y: np.ndarray) -> Workspace:
+        """The workspace at the variances that a residual y shows once the nominal numbers have explained
+        what they plausibly can; correlated leftovers count as the few independent samples they are."""
+        here = self.settled(y)
         while np.max(np.abs(here.deviations(y)), initial=0.0) > PLAUSIBLE and here.energy(y) > 2.0 * TELLING:
             here = here.at(2.0 * here.temper, 2.0 * here.strain)
         if here.energy(y) <= 2.0 * TELLING:
@@ -238,8 +244,8 @@ class Workspace:
 
     def calmly_moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
         """`moved_band` along the denoised recording."""
-        change = self.balances.quiet.changed(self.with_nominal(extra), self.with_nominal(other))
-        return self.whitening.band(change)
+        before, after = self.with_nominal(extra), self.with_nominal(other)
+        return self.whitening.band(self.balances.quiet.changed(before, after))
 
     def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
@@ -382,14 +388,6 @@ class Workspace:
         )
 
     # ------------------------------------------------------------------ nominal numbers
-    def _torque_scale(self) -> np.ndarray:
-        """(n,) RMS torque of each joint [N m]: the larger of motor and load, about zero."""
-        used = self.readings.valid
-        load = np.sqrt(np.mean(self.motion.rigid.tau[:, used] ** 2, axis=1))
-        torque = self.readings.torque[:, used]
-        drive = np.sqrt(np.mean(np.where(np.isfinite(torque), torque, 0.0) ** 2, axis=1))
-        return np.maximum(np.maximum(load, drive), 1e-6)
-
     def inertial_band(self, i: int, change: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (10,) of the inertial parameters of joint i's link."""
         return self._columns.load_band(self.balances.quiet.inertial_torque(i, change))
