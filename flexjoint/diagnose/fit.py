@@ -16,7 +16,7 @@ from flexjoint.effect import Param, Planned
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
 FACTOR_SPREAD = 0.7  # of the logarithm of a factor on a nominal number: two is one deviation
-SETTLING = 3  # Gauss-Newton steps of the nominal numbers: each leaves a hundredth of what the one before left
+SETTLING = 3  # Gauss-Newton steps of the nominal numbers: their products are small
 POSITION_SPREAD = 0.5  # m, a weak prior that holds components of a position which the data do not see
 
 

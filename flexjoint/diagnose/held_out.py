@@ -112,8 +112,10 @@ def _instead(
         fair = comparison(robot, recording, workspace, settled, nothing=selection.nothing)
         if fair is not None and not any(_worsened(fair, joint) for joint in joints):
             kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
+            left = [fit(settled.workspace, r.effects) for r in selection.rivals[k] if r is not rival]
+            rivals = (*kept, tuple(sorted(left, key=score)))
             again = comparison(robot, recording, workspace, settled, measured)
-            return None if again is None else (replace(selection, best=settled, rivals=(*kept, ())), again)
+            return None if again is None else (replace(selection, best=settled, rivals=rivals), again)
     return None
 
 
