@@ -13,32 +13,32 @@ from flexjoint.recording import Recording
 
 JITTER = 0.35  # largest share of the period by which a stamp may miss its tick
 REGULAR = 1e-3  # share of the period up to which a clock counts as regular already
-SMOOTHER = 0.25  # the regular clock must leave less than this share of the stamps' roughness (a variance)
-POSITIONS = ("q", "theta", "q_ref", "theta_ref")
+POSITIONS = ("q", "theta")
 ENOUGH = 30  # samples whose neighbours are all there, for a verdict
+REACH = 10  # samples to either side, over which a speed is taken
+SURE = 3.0  # standard errors by which the samples must say that they were not taken at their stamps
 
 
 def on_regular_clock(recording: Recording) -> Recording:
     """The recording with jittered stamps put back on their regular clock; else the recording unchanged.
 
-    Both must hold: every stamp lies within 0.35 periods of a tick of its own, and the positions are much
-    smoother over the ticks than over the stamps.
+    Both must hold: every stamp lies within 0.35 periods of a tick of its own, and the positions were taken
+    at the ticks. A moving body's sample that was taken as late as its stamp is off by speed times lateness
+    from the smooth line over the ticks: of that the positions must show less than half.
     """
     ticks = _ticks(recording.time)
     if ticks is None:
         return recording
-    stamped, regular = 0.0, 0.0
+    late = recording.time - ticks
+    shown, weight = 0.0, 0.0
     for (channel, _), values in recording.columns.items():
         if channel in POSITIONS:
-            spread = float(np.nanstd(values))
-            if spread > 0.0:
-                stamped += _roughness(recording.time, values / spread)
-                regular += _roughness(ticks, values / spread)
-    if not regular < SMOOTHER * stamped:
+            of_channel = _shown(ticks, late, values)
+            shown, weight = shown + of_channel[0], weight + of_channel[1]
+    if weight == 0.0 or shown / weight + SURE / np.sqrt(weight) > 0.5:
         return recording
     # a stamp can be late but not early: the earliest ones are the clock's
-    ticks = ticks + float(np.min(recording.time - ticks))
-    return Recording(ticks, recording.columns, recording.name)
+    return Recording(ticks + float(np.min(late)), recording.columns, recording.name)
 
 
 def _ticks(time: np.ndarray) -> np.ndarray | None:
@@ -57,21 +57,36 @@ def _ticks(time: np.ndarray) -> np.ndarray | None:
     return ticks if REGULAR * slope < worst < JITTER * slope else None
 
 
-def _roughness(time: np.ndarray, values: np.ndarray) -> float:
-    """Mean square by which samples miss the cubic through their two neighbours on either side."""
-    x = np.lib.stride_tricks.sliding_window_view(time, 5)
-    y = np.lib.stride_tricks.sliding_window_view(values, 5)
-    usual = np.median(np.diff(time))
-    whole = np.all(np.isfinite(y), axis=1) & (x[:, 4] - x[:, 0] < 5.0 * usual)
+def _shown(ticks: np.ndarray, late: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """How much of its lateness a position shows: the sum of share times weight, and the weights; a share's
+    variance is one over its weight. By regression of what samples miss the cubic through their two
+    neighbours on either side by, on what lateness would make of that."""
+    if len(ticks) <= 2 * REACH:
+        return 0.0, 0.0
+    speed = np.full(len(ticks), np.nan)
+    speed[REACH:-REACH] = (values[2 * REACH :] - values[: -2 * REACH]) / (
+        ticks[2 * REACH :] - ticks[: -2 * REACH]
+    )
+    x, y = (np.lib.stride_tricks.sliding_window_view(a, 5) for a in (ticks, values))
+    expected = np.lib.stride_tricks.sliding_window_view(speed * late, 5)
+    usual = np.median(np.diff(ticks))
+    whole = np.all(np.isfinite(y) & np.isfinite(expected), axis=1) & (x[:, 4] - x[:, 0] < 5.0 * usual)
     if np.count_nonzero(whole) < ENOUGH:
-        return 0.0
-    x, y = x[whole] - x[whole][:, 2:3], y[whole]
-    guess = np.zeros(len(x))
+        return 0.0, 0.0
+    x, y, expected = x[whole] - x[whole][:, 2:3], y[whole], expected[whole]
+    weights = np.zeros(x.shape)
+    weights[:, 2] = 1.0
     others = (0, 1, 3, 4)
     for j in others:
-        weight = np.ones(len(x))
+        guess = np.ones(len(x))
         for k in others:
             if k != j:
-                weight *= -x[:, k] / (x[:, j] - x[:, k])
-        guess += weight * y[:, j]
-    return float(np.mean((y[:, 2] - guess) ** 2))
+                guess *= -x[:, k] / (x[:, j] - x[:, k])
+        weights[:, j] = -guess
+    missed, made = np.sum(weights * y, axis=1), np.sum(weights * expected, axis=1)
+    power = float(made @ made)
+    if power == 0.0:
+        return 0.0, 0.0
+    share = float(made @ missed) / power
+    variance = max(float(np.mean((missed - share * made) ** 2)), 1e-300)
+    return share * power / variance, power / variance

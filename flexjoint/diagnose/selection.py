@@ -37,6 +37,8 @@ COMPLETE = 3.0  # times the predicted noise, up to which a balance counts as exp
 NEGLIGIBLE = 0.1  # of the torque tolerance, below which no effect is named whatever it explains ...
 CERTAIN = 100.0  # ... and energy that one below the tolerance must earn: ten deviations, ...
 CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fits something small by chance
+CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
+CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
 AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 MOST_EFFECTS = 12
@@ -216,7 +218,20 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
         alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
         if without.energy - trial.energy < METHOD_ERROR * (alone.energy - trial.energy):
             return False
-    return material(trial, added, without.energy - trial.energy)
+    return told_by_motion(trial, without) and material(trial, added, without.energy - trial.energy)
+
+
+def told_by_motion(trial: Fit, without: Fit) -> bool:
+    """Whether what a set of effects earns beyond another comes from the motion: a law of little energy (a gap
+    as wide as the encoders' noise) may earn as much from the noise that it shrinks, which it no longer does
+    along the denoised recording."""
+    earned = without.energy - trial.energy
+    if earned >= CERTAIN_LOUD:
+        return True
+    workspace = trial.workspace
+    moved = workspace.whitening.white(workspace.calmly_moved_band(without.effects, trial.effects)).ravel()
+    calm = workspace.energy(without.y) - workspace.energy(without.y + moved)
+    return calm >= CALM_SHARE * earned
 
 
 def material(trial: Fit, added: Planned, earned: float) -> bool:

@@ -15,7 +15,7 @@ from scipy.interpolate import Akima1DInterpolator, CubicSpline
 from scipy.signal import welch
 
 from flexjoint.clock import on_regular_clock
-from flexjoint.diagnose.command import torque_source
+from flexjoint.diagnose.command import Source, torque_source
 from flexjoint.errors import RecordingError
 from flexjoint.noise import white_noise
 from flexjoint.recording import Recording
@@ -87,7 +87,7 @@ def prepare(robot: Robot, recording: Recording) -> Readings:
         values, good = _torque(recording.time, source.values, time, source.held, robot.rates.control)
         channels["torque"][row] = values
         valid &= good
-        noise["torque"][row] = _torque_noise(source.values, source.held, period, robot.rates.control)
+        noise["torque"][row] = _torque_noise(source, period, robot.rates.control)
     if not np.any(np.isfinite(channels["q"]) | np.isfinite(channels["theta"])):
         raise RecordingError(
             f"{recording.name}: no position of any joint of {robot.name}; expected q.<joint> or theta.<joint>"
@@ -132,14 +132,16 @@ def _torque(
     return values, good
 
 
-def _torque_noise(samples: np.ndarray, held: bool, period: float, rate: float) -> float:
-    """Noise of the torque signal. A command is known exactly where it was recorded; of the ticks between
-    records only the linear interpolation is known, whose error has the variance of 1.5 ticks."""
-    white = white_noise(samples)
-    if not held:
+def _torque_noise(source: Source, period: float, rate: float) -> float:
+    """Noise of the torque signal. A command is known exactly where it was recorded. Of `ticks` commands a
+    record one is known, which stands for the mean of all: of their white noise, slow as the balances are,
+    (1 - 1/ticks)^2 for that one and (ticks - 1) / ticks^2 for the others. What the controller makes of
+    readings holds their noise, which need not be what the controller saw."""
+    white = white_noise(source.values)
+    if source.origin != "tau_m":
         return white
     ticks = max(1.0, period * rate)
-    return white * float(np.sqrt(1.5 * (ticks - 1.0))) / ticks
+    return white * float(np.sqrt(1.0 - 1.0 / ticks))
 
 
 def margin(sigma: float) -> float:
@@ -156,10 +158,10 @@ def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
 
 
 def denoised(readings: Readings) -> Readings:
-    """The readings with positions and joint torques passed through a Wiener filter: each frequency is kept to
-    the share of its power that is not the predicted white noise."""
+    """The readings with everything passed through a Wiener filter: each frequency is kept to the share of its
+    power that is not the predicted white noise."""
     clean = {}
-    for name in ("q", "theta", "tau_t"):
+    for name in ("q", "theta", "tau_t", "torque"):
         signals = getattr(readings, name).copy()
         for i, x in enumerate(signals):
             if np.isfinite(x[0]):

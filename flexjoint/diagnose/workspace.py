@@ -249,9 +249,10 @@ class Workspace:
 
     def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
-        kept = [e for e in extra if not whitening.changes_noise(e)]
+        kept = [e for e in extra if not whitening.shapes_noise(e, self.balances)]
         replaced = {e.key for e in extra}
-        return [e for e in self.nominal if e.key not in replaced or whitening.changes_noise(e)] + kept
+        shaping = [e for e in self.nominal if whitening.shapes_noise(e, self.balances)]
+        return [e for e in self.nominal if e.key not in replaced or e in shaping] + kept
 
     def with_nominal(self, extra: Sequence[Planned]) -> list[Planned]:
         """The nominal model's effects with these added; one that it lists already is replaced."""
