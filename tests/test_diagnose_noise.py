@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from diagnose_cases import SENSORS, Case, as_recording, nominal
-from planting import ROBOTS, Planted, plant
+from planting import FULL, NO_COMMAND, ROBOTS, Planted, SensorSet, plant
 
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.fit import fit, shifts
+from flexjoint.diagnose.selection import told_by_motion
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import plan as planned
 
@@ -39,3 +41,41 @@ def test_deviations_are_taken_together_with_their_products() -> None:
     held = workspace.whitened([*workspace.nominal, *shifts(nothing)])
 
     assert float(held @ held) < 1.3 * workspace.noise_energy
+
+
+UNSEEN_NOISE = replace(NO_COMMAND, noisy_feedback=False)  # what is recorded is not what the controller read
+
+
+@pytest.mark.parametrize(
+    ("sensors", "rate"), [(FULL, 250.0), (FULL, 500.0), (UNSEEN_NOISE, 500.0), (UNSEEN_NOISE, 1000.0)]
+)
+def test_a_torque_that_is_known_with_noise_is_no_error_of_the_model(sensors: SensorSet, rate: float) -> None:
+    """Commands from noisy readings of which every second or fourth was recorded, and torques that were
+    computed from readings which the controller did not see: the energy per sample was up to 1.6."""
+    recorded = plant(ROBOTS / "gimbal_exact.yaml", [], "slow", 8.0, 3, sensors, rate)
+    workspace = Workspace(balances_of(nominal("gimbal_exact"), as_recording(recorded)))
+
+    assert workspace.energy(workspace.residual([])) < 1.1 * workspace.noise_energy
+
+
+def test_a_limit_that_clips_a_noisy_torque_explains_nothing() -> None:
+    """A torque measured with noise has its largest values where noise was added: a limit takes that away."""
+    sensors = replace(FULL, channels=("q", "theta", "tau_t", "tau_motor", "q_ref"))
+    recorded = plant(ROBOTS / "gimbal_exact.yaml", [], "slow", 8.0, 3, sensors, 1000.0)
+    workspace = Workspace(balances_of(nominal("gimbal_exact"), as_recording(recorded)))
+    torque = workspace.readings.torque[2]
+    peak = float(abs(torque).max() - 2.0 * workspace.readings.noise["torque"][2])
+    nothing = workspace.energy(workspace.residual([]))
+    limited = workspace.energy(workspace.residual([planned("torque_saturation", "twist", {"limit": peak})]))
+
+    assert nothing - limited < 5.0  # it seemed to explain 17
+
+
+def test_a_gap_of_the_encoders_noise_is_not_told_by_the_motion() -> None:
+    case = Case("lever_exact", "slow", 4)
+    workspace = Workspace(balances_of(nominal(case.robot), as_recording(case.with_causes())))
+    gap = planned("backlash", "swing", {"gap": 3.0 * float(workspace.readings.noise["q"][0])})
+    nothing, loose = fit(workspace, []), fit(workspace, [gap])
+    promised = replace(loose, energy=nothing.energy - 100.0)  # as if it had earned so much
+
+    assert not told_by_motion(promised, nothing)
