@@ -347,19 +347,32 @@ def date_onset(result: Fit) -> Fit:
     workspace = result.workspace
     always = fit(workspace, [*result.effects[:-1], replace(added, since=None)])
     for step in ONSET_STEPS:
-        improved = True
-        while improved:
-            improved = False
-            for sign in (-1.0, 1.0):
-                since = (result.effects[-1].since or 0.0) + sign * step
-                if not 0.0 < since < workspace.balances.chains.t[-1]:
-                    continue
-                trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=since)], 3)
-                if trial.energy < result.energy:
-                    result, improved = trial, True
+        moved = _moved_onset(result, step)
+        if moved != result.effects[-1].since:
+            trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
+            if trial.energy < result.energy:
+                result = trial
     return (
         always if score(always) < score(result) + 0.01 * max(0.0, always.energy - result.energy) else result
     )
+
+
+def _moved_onset(result: Fit, step: float) -> float:
+    """Where, in steps from its onset, the last effect of a set would have set in best, all numbers held."""
+    workspace, added = result.workspace, result.effects[-1]
+
+    def energy(since: float) -> float:
+        if not 0.0 < since < workspace.balances.chains.t[-1]:
+            return np.inf
+        return workspace.energy(workspace.residual([*result.effects[:-1], replace(added, since=since)]))
+
+    best = float(added.since or 0.0)
+    least, start = energy(best), best
+    for sign in (-1.0, 1.0):
+        if best == start:  # it is on one side
+            while (there := energy(best + sign * step)) < least:
+                least, best = there, best + sign * step
+    return best
 
 
 def torque_shares(workspace: Workspace, effects: Sequence[Planned], index: int) -> np.ndarray:
