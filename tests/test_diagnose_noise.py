@@ -10,8 +10,8 @@ from planting import FULL, NO_COMMAND, ROBOTS, Planted, SensorSet, plant
 
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.fit import fit, shifts
-from flexjoint.diagnose.selection import told_by_motion
 from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import told_by_motion
 from flexjoint.effect import plan as planned
 
 
@@ -72,10 +72,13 @@ def test_a_limit_that_clips_a_noisy_torque_explains_nothing() -> None:
 
 
 def test_a_gap_of_the_encoders_noise_is_not_told_by_the_motion() -> None:
-    case = Case("lever_exact", "slow", 4)
+    """A joint that twists little: a gap narrower than the noise earns 58 from that noise alone."""
+    case = Case("scara_exact", "slow", 6)
     workspace = Workspace(balances_of(nominal(case.robot), as_recording(case.with_causes())))
-    gap = planned("backlash", "swing", {"gap": 3.0 * float(workspace.readings.noise["q"][0])})
-    nothing, loose = fit(workspace, []), fit(workspace, [gap])
-    promised = replace(loose, energy=nothing.energy - 100.0)  # as if it had earned so much
+    noise = float(workspace.readings.noise["q"][1])
+    gap = planned("backlash", "mid_turn", {"gap": 0.2 * noise})
+    loose = replace(fit(workspace, []), effects=(gap,), y=workspace.residual([gap]))
+    earned = workspace.energy(workspace.residual([])) - workspace.energy(loose.y)
 
-    assert not told_by_motion(promised, nothing)
+    assert earned > 20.0
+    assert not told_by_motion(loose, earned, gap)

@@ -13,8 +13,9 @@ from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.second_look import JointwiseWorkspace, SecondLook, look_again
-from flexjoint.diagnose.selection import Selection, at_own_level
+from flexjoint.diagnose.selection import Selection
 from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import at_own_level
 from flexjoint.effect import Planned, plan
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot, load, robots_folder

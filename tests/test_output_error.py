@@ -15,8 +15,8 @@ from flexjoint.clockwork import readings, rollout
 from flexjoint.diagnose import diagnose, extended_model, refined, verdict
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.fit import Fit, fit
-from flexjoint.diagnose.selection import at_own_level
 from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import at_own_level
 from flexjoint.diagnosis import Diagnosis, Estimation, Finding, Fitted, to_json
 from flexjoint.effect import Planned
 from flexjoint.model import FlexibleJointModel

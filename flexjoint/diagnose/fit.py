@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint.diagnose.nuisance import as_effects
+from flexjoint.diagnose.deviations import held, judged_energy, settled
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Param, Planned
 
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
 FACTOR_SPREAD = 0.7  # of the logarithm of a factor on a nominal number: two is one deviation
-SETTLING = 3  # Gauss-Newton steps of the nominal numbers: their products are small
 POSITION_SPREAD = 0.5  # m, a weak prior that holds components of a position which the data do not see
 
 
@@ -48,7 +47,7 @@ class Fit:
 
     workspace: Workspace
     effects: tuple[Planned, ...]
-    energy: float  # judged at the optimum, plus weak priors (Workspace.judged_energy)
+    energy: float  # judged at the optimum, plus weak priors (judged_energy)
     y: np.ndarray  # (samples,) whitened residual
     tangents: np.ndarray  # (slots, samples) its derivatives
     slots: tuple[Slot, ...]
@@ -57,14 +56,7 @@ class Fit:
 def shifts(result: Fit) -> list[Planned]:
     """What the nominal numbers' own tolerances take on beside the fitted effects, as effects: where they are
     at work, as two small deviations also have a product (a spring's with its encoders' offsets)."""
-    workspace = result.workspace
-    inertial, robot = workspace.motion.rigid.inertial, workspace.robot
-    pull = workspace.deviations(result.y)
-    for _ in range(SETTLING):
-        moved = as_effects(workspace.nuisance, -pull, inertial, robot)
-        there = workspace.residual([*result.effects, *moved])
-        pull = workspace.deviations(there + workspace.moved_part(pull))
-    return as_effects(workspace.nuisance, -pull, inertial, robot)
+    return held(result.workspace, settled(result.workspace, result.effects, result.y))
 
 
 def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
@@ -81,13 +73,13 @@ def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) 
     workspace, slots = workspace.about(effects), slots_of(effects)
     if not slots:
         y = workspace.residual(effects)
-        energy = workspace.judged_energy(y, effects)
+        energy = judged_energy(workspace, y, effects)
         return Fit(workspace, tuple(effects), energy, y, np.zeros((0, y.size)), slots)
     current, y, jacobian = _descend(workspace, list(effects), slots, iterations)
     if any(e.effect.overrides("level") for e in effects):  # where it rests depends on its size
         workspace = workspace.about(current)
         current, y, jacobian = _descend(workspace, current, slots, iterations)
-    energy = workspace.judged_energy(y, current) + _prior(slots, current)
+    energy = judged_energy(workspace, y, current) + _prior(slots, current)
     return Fit(workspace, tuple(_wrap(current)), energy, y, jacobian, slots)
 
 

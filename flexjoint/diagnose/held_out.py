@@ -9,9 +9,10 @@ import numpy as np
 
 from flexjoint.compare import Comparison, compare
 from flexjoint.diagnose.fit import Fit, fit, shifts
-from flexjoint.diagnose.selection import Selection, at_own_level, degenerate, score
+from flexjoint.diagnose.selection import Selection
 from flexjoint.diagnose.verdict import SURE, certainty, standard_errors, without
 from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import at_own_level, degenerate, score
 from flexjoint.diagnosis import Gain
 from flexjoint.effect import Planned
 from flexjoint.errors import FlexJointError

@@ -27,9 +27,10 @@ from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.held_out import HORIZON
 from flexjoint.diagnose.motion import reconstruct
 from flexjoint.diagnose.scan import Scanner
-from flexjoint.diagnose.selection import Selection, at_own_level, degenerate, worthwhile
+from flexjoint.diagnose.selection import Selection
 from flexjoint.diagnose.signals import denoised
 from flexjoint.diagnose.workspace import PLAUSIBLE, Workspace
+from flexjoint.diagnose.worth import at_own_level, degenerate, worthwhile
 from flexjoint.effect import Planned, Site
 from flexjoint.errors import FlexJointError
 from flexjoint.model import FlexibleJointModel

@@ -1,8 +1,5 @@
-"""Which set of effects explains the recording: scan, fit the best, add, exchange, prune, date.
-
-A set is judged by its energy Q(y, y) plus a price for every effect and every number in it. An effect
-enters only when it earns more than its price, matters by the robot's own torque tolerance (or leaves
-nothing but noise), and removes more than the method's own error in the balances it touches.
+"""Which set of effects explains the recording: scan, fit the best, add, exchange, prune, date. What an effect
+must be to enter is said in worth.py.
 """
 
 from __future__ import annotations
@@ -14,36 +11,26 @@ import numpy as np
 
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, fit
-from flexjoint.diagnose.nuisance import NUMBERS
 from flexjoint.diagnose.scan import Scanner, Scored
 from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import (
+    CLEARED,
+    LEFTOVER,
+    at_own_level,
+    degenerate,
+    leftover,
+    price,
+    score,
+    worthwhile,
+)
 from flexjoint.effect import Planned
 
-# energy that an effect of one number must earn, 4 deviations: some hundred candidates are tried, and in a
-# hundred healthy recordings chance may favour one of them
-PRICE = 16.0
-PRICE_NUMBER = 12.0  # and for each further number, or an onset: more than chance gives, less than a law
-METHOD_ERROR = (
-    1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
-)
-BLIND = 24.0  # more where a position is made of the nominal model, which is known to first order only
-LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
 FILTERED = 1e-5  # share of the explained energy by which laws differ as filtered balances see their kinks
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
 PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
-CLEARED = 10.0  # factor in variance by which a set must leave less, to be judged at the level that it leaves
-COMPLETE = 3.0  # times the predicted noise, up to which a balance counts as explained
-NEGLIGIBLE = 0.1  # of the torque tolerance, below which no effect is named whatever it explains ...
-CERTAIN = 100.0  # ... and energy that one below the tolerance must earn: ten deviations, ...
-CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fits something small by chance
-CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
-CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
-AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
-TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 MOST_EFFECTS = 12
 MOST_EXCHANGES = 4
-LEVEL_ROUNDS = 5
 ONSET_STEPS = (0.25, 0.1, 0.04, 0.015)  # s, of the search for an onset
 
 Progress = Callable[[float, str], None]
@@ -58,17 +45,6 @@ class Selection:
     scan: tuple[Scored, ...]  # of the nominal model, best start of each candidate
     last_scan: tuple[Scored, ...]  # of the chosen set: what was looked for beyond it
     rivals: tuple[tuple[Fit, ...], ...]  # per chosen effect: fits with another in its place, best first
-
-
-def price(effects: Sequence[Planned]) -> float:
-    numbers = [sum(p.size for p in e.effect.params) + (e.since is not None) for e in effects]
-    return sum(PRICE + PRICE_NUMBER * (count - 1) for count in numbers)
-
-
-def score(result: Fit) -> float:
-    """What is compared: energy plus price."""
-    blind = BLIND * len(result.effects) if result.workspace.motion.missing else 0.0
-    return result.energy + price(result.effects) + blind
 
 
 def select(
@@ -107,17 +83,6 @@ def select(
 
 def _keys(result: Fit) -> frozenset[tuple[str, str | None]]:
     return frozenset(e.key for e in result.effects)
-
-
-def at_own_level(result: Fit) -> Fit:
-    """The fit again, judged against the variance that it leaves itself."""
-    for _ in range(LEVEL_ROUNDS):
-        workspace = result.workspace.tempered(result.y)
-        settled = np.all(np.abs(np.log(workspace.temper / result.workspace.temper)) < 0.1)
-        result = fit(workspace, result.effects)
-        if settled:
-            break
-    return result
 
 
 def at_noise(best: Fit) -> Fit | None:
@@ -165,11 +130,6 @@ def on_one_level(fits: Sequence[Fit]) -> list[Fit]:
     return [f if f.workspace is lowest else fit(lowest, f.effects) for f in fits]
 
 
-def leftover(result: Fit) -> float:
-    """Energy that is still above the predicted noise."""
-    return max(0.0, result.energy - result.workspace.noise_energy)
-
-
 def choose(fits: Sequence[Fit]) -> Fit:
     """The best score; of those that differ by little against what all leave unexplained, or against what
     filters leave of all that is explained, the plainest."""
@@ -193,81 +153,6 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
             if not degenerate(fitted.effects[-1]):
                 out.append(fitted)
     return out
-
-
-def degenerate(planned: Planned) -> bool:
-    """Whether a law has shrunk to none, or to a simpler one: a shape parameter at its bound."""
-    sizes = [(planned.values[p.name], p.null) for p in planned.effect.nulls]
-    if all(np.all(np.ravel(size) == null) for size, null in sizes):
-        return True
-    shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
-    return any(
-        np.isclose(planned.values[p.name], (p.low, p.high), rtol=AT_BOUND, atol=0.0).any() for p in shapes
-    )
-
-
-def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
-    """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error."""
-    if degenerate(added):
-        return False
-    if score(trial) >= score(without) - LEFTOVER * leftover(trial):
-        return False
-    beside = [e for e in trial.effects if e is not added and e.joint == added.joint]
-    if beside:
-        # what other causes on the joint explain is known only to the method's own error
-        alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
-        if without.energy - trial.energy < METHOD_ERROR * (alone.energy - trial.energy):
-            return False
-    return told_by_motion(trial, without) and material(trial, added, without.energy - trial.energy)
-
-
-def told_by_motion(trial: Fit, without: Fit) -> bool:
-    """Whether what a set of effects earns beyond another comes from the motion: a law of little energy (a gap
-    as wide as the encoders' noise) may earn as much from the noise that it shrinks, which it no longer does
-    along the denoised recording."""
-    earned = without.energy - trial.energy
-    if earned >= CERTAIN_LOUD:
-        return True
-    workspace = trial.workspace
-    moved = workspace.whitening.white(workspace.calmly_moved_band(without.effects, trial.effects)).ravel()
-    calm = workspace.energy(without.y) - workspace.energy(without.y + moved)
-    return calm >= CALM_SHARE * earned
-
-
-def material(trial: Fit, added: Planned, earned: float) -> bool:
-    """Whether an effect's torque is beyond the tolerance for what a model does not hold. That tolerance
-    stands for errors of the model; where noise alone is left there are none, and next to none where the
-    effect clears the balances that it touches: smaller effects count there that are beyond doubt."""
-    if tolerated(trial.workspace, added):
-        return False
-    shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))
-    tolerance = trial.workspace.robot.tolerance.torque
-    doubtful = earned < (CERTAIN if added.since is None else CERTAIN_DATED)
-    if np.max(shares) >= tolerance or np.max(shares) < NEGLIGIBLE * tolerance or doubtful:
-        return bool(np.max(shares) >= tolerance)
-    touched = shares > 0.0
-    left = at_own_level(trial).workspace.temper[touched]
-    if np.all(left < COMPLETE):
-        return True
-    others = [e for e in trial.effects if e is not added]
-    before = at_own_level(fit(trial.workspace, others)).workspace.temper[touched]
-    wrong = before > CLEARED
-    return bool(np.any(wrong) and np.mean(np.log(before[wrong] / left[wrong])) >= np.log(CLEARED))
-
-
-def tolerated(workspace: Workspace, added: Planned) -> bool:
-    """Whether an effect is a nominal number that is off by no more than its tolerance claims."""
-    if added.since is not None:
-        return False
-    for number in workspace.nuisance:
-        name, scale = number.name, 1.0
-        if name == "motor_damping":
-            name, scale = "motor_viscous_friction", workspace.robot.joint(str(number.joint)).drive.D_m
-        nominal = number.name in NUMBERS or number.name.endswith("_encoder_offset")
-        if (name, number.joint) == added.key and nominal:
-            (param,) = added.effect.nulls
-            return bool(abs(added.values[param.name]) <= TOLERATED * number.spread * scale)
-    return False
 
 
 def exchange(
@@ -373,16 +258,3 @@ def _moved_onset(result: Fit, step: float) -> float:
             while (there := energy(best + sign * step)) < least:
                 least, best = there, best + sign * step
     return best
-
-
-def torque_shares(workspace: Workspace, effects: Sequence[Planned], index: int) -> np.ndarray:
-    """(rows,) RMS torque of an effect in each balance, as a share of that joint's torque."""
-    without = [e for k, e in enumerate(effects) if k != index]
-    balances, used = workspace.balances, workspace.readings.valid
-    change = balances.change(workspace.with_nominal(without), workspace.with_nominal(effects))
-    shares = np.zeros(len(balances.rows))
-    for r, (row, spectrum) in enumerate(zip(balances.rows, change, strict=True)):
-        if np.any(spectrum):
-            torque = balances.time_series(spectrum)[used]
-            shares[r] = np.sqrt(np.mean(torque**2)) / workspace.torque_scale[row.joint]
-    return shares

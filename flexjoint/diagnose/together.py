@@ -17,9 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexjoint.diagnose.fit import Fit, fit, normal_equations
-from flexjoint.diagnose.selection import PRICE_NUMBER, Selection, price, score
+from flexjoint.diagnose.selection import Selection
 from flexjoint.diagnose.shared_numbers import SharedNumbers
 from flexjoint.diagnose.verdict import Errors, Key, certainty
+from flexjoint.diagnose.worth import PRICE_NUMBER, price, score
 from flexjoint.effect import Planned
 
 PRESENT = 1.0  # standard errors, disagreement counted, by which a common number must differ from none

@@ -10,7 +10,8 @@ import numpy as np
 
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
-from flexjoint.diagnose.selection import Selection, at_own_level, degenerate, leftover, score
+from flexjoint.diagnose.selection import Selection
+from flexjoint.diagnose.worth import at_own_level, degenerate, leftover, score
 from flexjoint.diagnosis import Estimation, Finding, Fitted, Ranked, Tie, WithinTolerance
 from flexjoint.effect import Kind, Planned
 

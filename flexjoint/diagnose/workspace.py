@@ -19,18 +19,16 @@ from scipy.linalg import cho_factor, cho_solve
 from flexjoint.diagnose import whitening
 from flexjoint.diagnose.balances import TwinBalances
 from flexjoint.diagnose.chain import identity
-from flexjoint.diagnose.nuisance import Columns, as_effects
+from flexjoint.diagnose.nuisance import Columns
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.whitening import Band
 from flexjoint.effect import Planned, Signals
 
 PLAUSIBLE = 2.5  # prior deviations up to which a nominal number may be off before a cause must be sought
-NOISY = 3.0  # temper above which sensor noise no longer decides anything
 TEMPER_ROUNDS = 12
 TELLING = 100.0  # energy that must remain, for a cause to be able to earn its price
 FEWEST = 100  # independent samples that a recording is credited with at least
 REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that friction moves
-FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,6 @@ class Workspace:
         self._moves: Recent[Moves] = Recent()
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
-        self._as_effects = np.array([n.held_as_effect for n in self.nuisance], dtype=bool)
         self._rubbing: tuple[Planned, ...] = ()  # effects of joints on which dry friction is at work
         self.temper = np.ones(len(rows))
         self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
@@ -291,32 +288,6 @@ class Workspace:
         pull = self.pull(y)
         y = y * self.weights
         return float(y @ y - pull @ cho_solve(self._gram, pull))
-
-    def judged_energy(self, y: np.ndarray, effects: Sequence[Planned]) -> float:
-        """Q(y, y), evaluated in full (noise and all) and whitened for the noise of the model that it implies,
-        where that is another than the nominal one's."""
-        pull = self.deviations(y)
-        far = np.max(self.temper) < NOISY and np.max(np.abs(pull), initial=0.0) > FAR_OFF
-        if not far and not any(whitening.changes_noise(e) for e in effects):
-            return self.energy(y)
-        shifted = as_effects(self.nuisance, -pull, self.motion.rigid.inertial, self.robot)
-        held = [*self.with_nominal(effects), *shifted]
-        scale = np.array([self.torque_scale[r.joint] for r in self.balances.rows])
-        there = whitening.make(self.balances, scale, held)
-        residual = there.apply(self.balances.residual(held)).ravel()
-        if not any(e.effect.overrides("edit_inertial") for e in self.nominal):
-            self.motion.rigid.regressor.forget(REMEMBERED)  # nobody else asks for it
-        # other nominal numbers (of effects, offsets) change no noise: their part stays linear
-        residual = (residual - self._linear_part(pull)) * self.weights
-        return float(residual @ residual) + float(pull @ pull)
-
-    def _linear_part(self, pull: np.ndarray) -> np.ndarray:
-        """(samples,) trace of the deviations that `as_effects` does not make effects of."""
-        return self.along(np.where(self._as_effects, 0.0, pull))
-
-    def moved_part(self, pull: np.ndarray) -> np.ndarray:
-        """(samples,) trace, to first order, of the deviations that `as_effects` makes effects of."""
-        return self.along(np.where(self._as_effects, pull, 0.0))
 
     def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Q between columns a (k, samples) and b (l, samples): (k, l)."""

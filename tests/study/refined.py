@@ -17,8 +17,8 @@ from diagnose_cases import as_recording
 from flexjoint.diagnose import refined, verdict
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.fit import Fit, Slot, fit
-from flexjoint.diagnose.selection import at_own_level
 from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import at_own_level
 from flexjoint.diagnosis import Finding, Fitted
 from flexjoint.effect import plan
 
