@@ -17,6 +17,7 @@ from flexjoint.diagnose.worth import (
     CLEARED,
     LEFTOVER,
     at_own_level,
+    contradicted,
     degenerate,
     leftover,
     price,
@@ -171,6 +172,7 @@ def exchange(
         without = fit(result.workspace, others)
         needed = without.energy - result.energy
         fits = [f for f in polish(without, scanner.scan(without), needed) if f.effects[-1].key != key]
+        fits = [f for f in fits if not contradicted(f, without)]
         fits += [alone for f in fits for alone in containing(f, key[0])]
         swapped = choose([result, *fits])
         if swapped is not result and exchanges < MOST_EXCHANGES:

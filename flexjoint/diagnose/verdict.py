@@ -11,7 +11,7 @@ import numpy as np
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.selection import Selection
-from flexjoint.diagnose.worth import at_own_level, degenerate, leftover, score
+from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, leftover, score
 from flexjoint.diagnosis import Estimation, Finding, Fitted, Ranked, Tie, WithinTolerance
 from flexjoint.effect import Kind, Planned
 
@@ -43,6 +43,12 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
             why = "a number of its law is at its bound, where it is another law or none"
             notes.append(f"{shrunk} would make the balance smaller, but {why}: not named")
             selection = without(selection, shrunk)
+            continue
+        denied = next((e for e in best.effects if contradicted(best, _without(best, e))), None)
+        if denied is not None:
+            why = "another balance larger, which shows no such error"
+            notes.append(f"{denied} would make a balance smaller, but {why}: not named")
+            selection = without(selection, denied)
             continue
         certain = [
             certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
@@ -92,6 +98,10 @@ def without(selection: Selection, effect: Planned) -> Selection:
         best=at_own_level(fit(best.workspace, [best.effects[k] for k in keep])),
         rivals=tuple(selection.rivals[k] for k in keep),
     )
+
+
+def _without(best: Fit, effect: Planned) -> Fit:
+    return fit(best.workspace, [e for e in best.effects if e is not effect])
 
 
 def certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:

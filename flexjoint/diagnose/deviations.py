@@ -1,0 +1,66 @@
+"""Nominal numbers beyond first order: where their deviations are, and what a set of effects is worth there.
+
+To first order every deviation has one trace in the residual (workspace.py). Two deviations also have a
+product, as a spring's with its encoders' offsets, or with a gap beside it, and an inertia changes what noise
+makes of a balance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flexjoint.diagnose import whitening
+from flexjoint.diagnose.nuisance import as_effects
+from flexjoint.diagnose.workspace import REMEMBERED, Workspace
+from flexjoint.effect import Planned
+
+SETTLING = 3  # Gauss-Newton steps of the nominal numbers: their products are small
+NOISY = 3.0  # temper above which sensor noise no longer decides anything
+FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
+
+
+def held(workspace: Workspace, pull: np.ndarray) -> list[Planned]:
+    """Deviations (numbers,) of the nominal numbers, as effects that a model can hold."""
+    return as_effects(workspace.nuisance, -pull, workspace.motion.rigid.inertial, workspace.robot)
+
+
+def settled(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
+    """(numbers,) deviations that explain most of the residual y of some effects, their products included."""
+    pull = workspace.deviations(y)
+    for _ in range(SETTLING):
+        there = workspace.residual([*effects, *held(workspace, pull)])
+        pull = workspace.deviations(there + workspace.along(np.where(_as_effects(workspace), pull, 0.0)))
+    return pull
+
+
+def judged_energy(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
+    """Q(y, y), evaluated in full (noise and all) and whitened for the noise of the model that it implies,
+    where that is another than the nominal one's."""
+    pull = workspace.deviations(y)
+    far = np.max(workspace.temper) < NOISY and np.max(np.abs(pull), initial=0.0) > FAR_OFF
+    if not far and not any(whitening.changes_noise(e) for e in effects):
+        return workspace.energy(y)
+    energy = _energy_at(workspace, pull, effects)
+    if np.max(workspace.temper) < NOISY:
+        energy = min(energy, _energy_at(workspace, settled(workspace, effects, y), effects))
+    if not any(e.effect.overrides("edit_inertial") for e in workspace.nominal):
+        workspace.motion.rigid.regressor.forget(REMEMBERED)  # nobody else asks for it
+    return energy
+
+
+def _energy_at(workspace: Workspace, pull: np.ndarray, effects: Sequence[Planned]) -> float:
+    """Energy of some effects where the nominal numbers are off by these deviations."""
+    there = [*workspace.with_nominal(effects), *held(workspace, pull)]
+    scale = np.array([workspace.torque_scale[r.joint] for r in workspace.balances.rows])
+    white = whitening.make(workspace.balances, scale, there).apply(workspace.balances.residual(there)).ravel()
+    # other nominal numbers (of effects, offsets) change no noise: their part stays linear
+    linear = workspace.along(np.where(_as_effects(workspace), 0.0, pull))
+    residual = (white - linear) * workspace.weights
+    return float(residual @ residual) + float(pull @ pull)
+
+
+def _as_effects(workspace: Workspace) -> np.ndarray:
+    """(numbers,) bool: those of which `held` makes effects."""
+    return np.array([n.held_as_effect for n in workspace.nuisance], dtype=bool)

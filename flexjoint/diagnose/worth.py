@@ -1,0 +1,195 @@
+"""What an effect must be to enter a set of causes, and to stay in it.
+
+A set is judged by its energy Q(y, y) plus a price for every effect and every number in it. An effect
+enters only when it earns more than its price, matters by the robot's own torque tolerance (or leaves
+nothing but noise), and removes more than the method's own error in the balances it touches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.nuisance import NUMBERS
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.effect import Planned
+
+# energy that an effect of one number must earn, 4 deviations: some hundred candidates are tried, and in a
+# hundred healthy recordings chance may favour one of them
+PRICE = 16.0
+PRICE_NUMBER = 12.0  # and for each further number, or an onset: more than chance gives, less than a law
+METHOD_ERROR = (
+    1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
+)
+FINER_ERROR = 1e-4  # the same, where the cause leaves less than a tenth of what it explains
+BLIND = 24.0  # more where a position is made of the nominal model, which is known to first order only
+LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
+CLEARED = 10.0  # factor in variance by which a set must leave less, to be judged at the level that it leaves
+COMPLETE = 3.0  # times the predicted noise, up to which a balance counts as explained
+NEGLIGIBLE = 0.1  # of the torque tolerance, below which no effect is named whatever it explains ...
+CERTAIN = 100.0  # ... and energy that one below the tolerance must earn: ten deviations, ...
+CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fits something small by chance
+CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
+CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
+AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
+TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
+LEVEL_ROUNDS = 5
+
+
+def price(effects: Sequence[Planned]) -> float:
+    numbers = [sum(p.size for p in e.effect.params) + (e.since is not None) for e in effects]
+    return sum(PRICE + PRICE_NUMBER * (count - 1) for count in numbers)
+
+
+def score(result: Fit) -> float:
+    """What is compared: energy plus price."""
+    blind = BLIND * len(result.effects) if result.workspace.motion.missing else 0.0
+    return result.energy + price(result.effects) + blind
+
+
+def leftover(result: Fit) -> float:
+    """Energy that is still above the predicted noise."""
+    return max(0.0, result.energy - result.workspace.noise_energy)
+
+
+def at_own_level(result: Fit) -> Fit:
+    """The fit again, judged against the variance that it leaves itself."""
+    for _ in range(LEVEL_ROUNDS):
+        workspace = result.workspace.tempered(result.y)
+        settled = np.all(np.abs(np.log(workspace.temper / result.workspace.temper)) < 0.1)
+        result = fit(workspace, result.effects)
+        if settled:
+            break
+    return result
+
+
+def degenerate(planned: Planned) -> bool:
+    """Whether a law has shrunk to none, or to a simpler one: a shape parameter at its bound."""
+    sizes = [(planned.values[p.name], p.null) for p in planned.effect.nulls]
+    if all(np.all(np.ravel(size) == null) for size, null in sizes):
+        return True
+    shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
+    return any(
+        np.isclose(planned.values[p.name], (p.low, p.high), rtol=AT_BOUND, atol=0.0).any() for p in shapes
+    )
+
+
+def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
+    """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error."""
+    if degenerate(added) or score(trial) >= score(without):
+        return False
+    earned, left = explained(trial, without, added), leftover(trial)
+    if earned - (price(trial.effects) - price(without.effects)) < LEFTOVER * left:
+        return False
+    beside = [e for e in trial.effects if e is not added and e.joint == added.joint]
+    if beside:
+        # what other causes on the joint explain is known only to the method's own error, which has a shape
+        # of its own: what leaves next to nothing is not that
+        alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
+        share = METHOD_ERROR if earned < CLEARED * left else FINER_ERROR
+        if earned < share * (alone.energy - trial.energy):
+            return False
+    if contradicted(trial, without):
+        return False
+    return told_by_motion(trial, earned, added) and material(trial, added, earned)
+
+
+def contradicted(trial: Fit, without: Fit) -> bool:
+    """Whether what a set of effects explains beyond another leaves ten times more in a balance, beyond
+    noise: a spring's torque does not explain what its motor shows where its link does not show it."""
+    workspace = trial.workspace
+    balances, used = workspace.balances, workspace.readings.valid
+    change = balances.changed(workspace.with_nominal(without.effects), workspace.with_nominal(trial.effects))
+    if not change:
+        return False
+    before = balances.residual(workspace.with_nominal(without.effects))
+    for r, moved in change.items():
+        error, left = balances.time_series(np.array([before[r], before[r] + moved]))[:, used]
+        if np.mean(left**2) > CLEARED * max(float(np.mean(error**2)), float(workspace.deviation[r]) ** 2):
+            return True
+    return False
+
+
+def explained(trial: Fit, without: Fit, added: Planned) -> float:
+    """Energy that `added`, present in `trial`, explains. If it is the change of a nominal number, that number
+    is held at its nominal value: far from it, it would explain the same at the price of its deviation."""
+    earned, workspace = without.energy - trial.energy, trial.workspace
+    k = own_number(workspace, added)
+    if k is not None:
+        error = workspace.deviation_errors()[k]
+        # holding a number raises a least-squares energy by the square of its deviation in standard errors
+        free, left = ((workspace.deviations(y)[k] / error) ** 2 for y in (without.y, trial.y))
+        earned += float(free - left)
+    return earned
+
+
+def told_by_motion(trial: Fit, earned: float, added: Planned) -> bool:
+    """Whether the energy that `added` earns comes from the motion: at the sensors' noise, a law of little
+    energy (a gap as wide as that noise) may earn as much from the noise that it shrinks, which it no longer
+    does along the denoised recording."""
+    workspace = trial.workspace
+    if earned >= CERTAIN_LOUD or np.max(workspace.temper) >= COMPLETE:
+        return True
+    others = [e for e in trial.effects if e is not added]
+    before = workspace.residual(others)
+    moved = workspace.whitening.white(workspace.calmly_moved_band(others, trial.effects)).ravel()
+    calm, loud = (workspace.energy(before) - workspace.energy(y) for y in (before + moved, trial.y))
+    return calm >= CALM_SHARE * loud
+
+
+def material(trial: Fit, added: Planned, earned: float) -> bool:
+    """Whether an effect's torque is beyond the tolerance for what a model does not hold. That tolerance
+    stands for errors of the model; where noise alone is left there are none, and next to none where the
+    effect clears the balances that it touches: smaller effects count there that are beyond doubt."""
+    if tolerated(trial.workspace, added):
+        return False
+    shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))
+    tolerance = trial.workspace.robot.tolerance.torque
+    doubtful = earned < (CERTAIN if added.since is None else CERTAIN_DATED)
+    if np.max(shares) >= tolerance or np.max(shares) < NEGLIGIBLE * tolerance or doubtful:
+        return bool(np.max(shares) >= tolerance)
+    touched = shares > 0.0
+    left = at_own_level(trial).workspace.temper[touched]
+    if np.all(left < COMPLETE):
+        return True
+    others = [e for e in trial.effects if e is not added]
+    before = at_own_level(fit(trial.workspace, others)).workspace.temper[touched]
+    wrong = before > CLEARED
+    return bool(np.any(wrong) and np.mean(np.log(before[wrong] / left[wrong])) >= np.log(CLEARED))
+
+
+def tolerated(workspace: Workspace, added: Planned) -> bool:
+    """Whether an effect is a nominal number that is off by no more than its tolerance claims."""
+    k = own_number(workspace, added)
+    if k is None:
+        return False
+    number, (param,) = workspace.nuisance[k], added.effect.nulls
+    damping = workspace.robot.joint(str(number.joint)).drive.D_m if number.name == "motor_damping" else 1.0
+    return bool(abs(added.values[param.name]) <= TOLERATED * number.spread * damping)
+
+
+def own_number(workspace: Workspace, added: Planned) -> int | None:
+    """The index of the nominal number of which an effect, at work all the time, is the change."""
+    if added.since is not None:
+        return None
+    for k, number in enumerate(workspace.nuisance):
+        name = "motor_viscous_friction" if number.name == "motor_damping" else number.name
+        nominal = number.name in NUMBERS or number.name.endswith("_encoder_offset")
+        if nominal and (name, number.joint) == added.key:
+            return k
+    return None
+
+
+def torque_shares(workspace: Workspace, effects: Sequence[Planned], index: int) -> np.ndarray:
+    """(rows,) RMS torque of an effect in each balance, as a share of that joint's torque."""
+    without = [e for k, e in enumerate(effects) if k != index]
+    balances, used = workspace.balances, workspace.readings.valid
+    change = balances.change(workspace.with_nominal(without), workspace.with_nominal(effects))
+    shares = np.zeros(len(balances.rows))
+    for r, (row, spectrum) in enumerate(zip(balances.rows, change, strict=True)):
+        if np.any(spectrum):
+            torque = balances.time_series(spectrum)[used]
+            shares[r] = np.sqrt(np.mean(torque**2)) / workspace.torque_scale[row.joint]
+    return shares
