@@ -49,6 +49,8 @@ class Finding:
     members: tuple[Planned, ...] = ()  # of a cause that joints share: the effect on each of them
     hidden_by_refit: bool = False  # a refit of the nominal numbers would absorb most of it
     note: str = ""
+    left: float = 1.0  # largest variance left in the balances that it touches, in that of the noise
+    reliability: float = 1.0  # how often names that leave so much were right; part of `probability`
 
 
 @dataclass(frozen=True)
@@ -213,6 +215,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "kind": finding.kind,
         "hidden_by_refit": finding.hidden_by_refit,
         "note": finding.note,
+        "left": finding.left,
         "indistinguishable": [
             {"effect": t.effect, "joint": t.joint, "why": t.why} for t in finding.indistinguishable
         ],

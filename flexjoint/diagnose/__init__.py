@@ -19,7 +19,7 @@ from flexjoint.diagnose.selection import Selection, select
 from flexjoint.diagnose.together import combine
 from flexjoint.diagnose.verdict import Errors, Key
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.diagnosis import Diagnosis, Estimation, Finding
+from flexjoint.diagnosis import Diagnosis, Estimation, Finding, Unexplained
 from flexjoint.effect import catalogue
 from flexjoint.errors import RecordingError, unknown
 from flexjoint.known_payload import KnownPayload
@@ -27,6 +27,7 @@ from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
 EXPLAINED = 0.9  # of the error above noise, below which the causes found are not the whole story
+LIKELY = 0.2  # reliability of a name, below which it need not be the story at all
 SHORTEST = 1.0  # s of usable data
 
 Progress = Callable[[float, str], None]
@@ -231,7 +232,15 @@ def _refusal(balances: Balances) -> str:
     return ""
 
 
-def _verdict(found: Sequence[object], left: Sequence[object], explained: float) -> tuple[str, str]:
+def _verdict(found: Sequence[Finding], left: Sequence[Unexplained], explained: float) -> tuple[str, str]:
+    unlikely = [f for f in found if f.reliability < LIKELY]
+    if explained >= EXPLAINED and unlikely:
+        most = max(f.left for f in unlikely)
+        return (
+            "unexplained",
+            f"the causes named explain {100.0 * explained:.0f} % of the error above noise, but leave"
+            f" {most:.2g} times the noise's variance in their balances: something else may stand behind them",
+        )
     if found and explained >= EXPLAINED:
         return "causes", f"the causes named explain {100.0 * explained:.0f} % of the error above sensor noise"
     if found:

@@ -10,6 +10,7 @@ import numpy as np
 
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
+from flexjoint.diagnose.reliability import left_by, reliability
 from flexjoint.diagnose.selection import Selection
 from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, leftover, score
 from flexjoint.diagnosis import Estimation, Finding, Fitted, Ranked, Tie, WithinTolerance
@@ -66,7 +67,9 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
 
 def improbable(found: Sequence[Finding]) -> tuple[Finding, ...]:
     """Findings that a rival fits better than: the set explains something, but not by this name."""
-    return tuple(f for f in found if f.probability * (1 + len(f.indistinguishable)) < PROBABLE)
+    return tuple(
+        f for f in found if f.probability / f.reliability * (1 + len(f.indistinguishable)) < PROBABLE
+    )
 
 
 def vanishing(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
@@ -131,12 +134,13 @@ def findings(
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
-        ties = _ties(best, planned, rivals)
+        ties, left = _ties(best, planned, rivals), left_by(best, k)
+        believed = reliability(best, left)
         out.append(
             Finding(
                 planned.effect.name,
                 planned.joint,
-                _probability(selection, k, ties, explained),
+                _preferred(selection, k, ties, explained) * believed,
                 _parameters(planned, (spread or {}).get(planned.key, errors[k]), listed),
                 None if planned.since is None else planned.since + best.workspace.readings.start,
                 gains[k],
@@ -145,6 +149,8 @@ def findings(
                 ties,
                 hidden_by_refit=_hidden_by_refit(selection, k),
                 note="change against the nominal model's own entry" if listed is not None else "",
+                left=left,
+                reliability=believed,
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain))
@@ -242,9 +248,9 @@ def _ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]
     return tuple(out)
 
 
-def _probability(selection: Selection, k: int, ties: Sequence[Tie], explained: float) -> float:
-    """From the margin over the best rival that is not a tie, shared among ties, and lowered by what the
-    whole set leaves unexplained."""
+def _preferred(selection: Selection, k: int, ties: Sequence[Tie], explained: float) -> float:
+    """Probability of a cause against its rivals: from the margin over the best one that is not a tie, shared
+    among ties, and lowered by what the whole set leaves unexplained."""
     best = selection.best
     tied = {(tie.effect, tie.joint) for tie in ties}
     rivals = selection.rivals[k] if k < len(selection.rivals) else ()
@@ -254,7 +260,7 @@ def _probability(selection: Selection, k: int, ties: Sequence[Tie], explained: f
     ]
     margin = min((score(r) - score(best) for r in others), default=40.0)
     against = 1.0 / (1.0 + np.exp(-0.5 * np.clip(margin, -40.0, 40.0)))
-    return float(np.clip(against * min(1.0, explained + 0.02) / (1 + len(ties)), 0.0, 0.999))
+    return float(against * min(1.0, explained + 0.02) / (1 + len(ties)))
 
 
 def _hidden_by_refit(selection: Selection, k: int) -> bool:

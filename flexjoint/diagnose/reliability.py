@@ -1,0 +1,34 @@
+"""How far to believe a name, from what is left beside it.
+
+A cause that is the whole story of its balances leaves the sensors' noise in them; one that stands in for
+another leaves a shape of its own. Counted on planted machines (`make study`), some of which hold an effect
+that is in no catalogue: how often a name was right, by the variance that was left and by whether nominal
+numbers had to be implausible beside it. A logistic curve through these counts; docs/diagnosis_study.md shows
+what became of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnose.worth import torque_shares
+
+CLEAN = 2.4  # log-odds of a name that leaves the noise
+PER_DECADE = 1.4  # less for every factor of ten in variance that is left ...
+DECADES = 3.0  # ... up to so many: few planted machines tell more
+STRAIN = 1.5  # less where nominal numbers are implausible beside it
+
+
+def left_by(best: Fit, k: int) -> float:
+    """Largest variance, in that of the noise, of what is left in the balances that effect k of a set touches;
+    correlated leftovers count as the few independent samples that they are."""
+    touched = torque_shares(best.workspace, best.effects, k) > 0.0
+    return float(np.max(best.workspace.levels(best.y)[touched], initial=1.0))
+
+
+def reliability(best: Fit, left: float) -> float:
+    """Probability that a name is right which leaves so much."""
+    decades = min(DECADES, float(np.log10(max(1.0, left))))
+    strained = STRAIN if best.workspace.strain > 1.0 else 0.0
+    return float(1.0 / (1.0 + np.exp(PER_DECADE * decades + strained - CLEAN)))
