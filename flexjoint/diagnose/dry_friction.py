@@ -16,7 +16,6 @@ from flexjoint.diagnose.signals import Filter
 REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trusted
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
-NOISE_SIGMAS = 4.0  # by which net torques with and without noise must differ, for that to be more than noise
 CALM_SIGMAS = 5.0  # of the filter, within which of a motion a denoised acceleration rings
 
 
@@ -48,13 +47,11 @@ class DryFriction:
         window = self._window
         most = self.held * level
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
-        off = np.abs(net - calm_net)
-        rings = off > NOISE_SIGMAS * float(np.median(off)) / 0.6745
         reach = 2 * int(np.ceil(CALM_SIGMAS * self._sigma / self._window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
             moving = np.abs(sharp_speed) > REST_SPEED
-            loud = maximum_filter1d(moving, reach) & rings
-            held = np.clip(np.where(loud, sharp_net, calm_net + lost), -most, most)
+            near = maximum_filter1d(moving, reach)
+            held = np.clip(np.where(near, sharp_net, calm_net + lost), -most, most)
             friction = np.where(moving, level * np.sign(sharp_speed), held)
             spectrum = window.spectrum(friction)
             if further:
