@@ -182,6 +182,8 @@ def _said(found: Diagnosis) -> dict[str, Any]:
                 "effect": f.effect,
                 "joint": f.joint,
                 "probability": round(f.probability, 4),
+                "left": round(f.left, 2),
+                "reliability": round(f.reliability, 4),
                 "parameters": values,
                 "since": f.since,
                 "ties": [[tie.effect, tie.joint] for tie in f.indistinguishable],
