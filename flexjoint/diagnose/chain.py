@@ -124,8 +124,8 @@ class Chains:
         return spring_hat
 
     def _transmitted(self, i: int, spring_hat: np.ndarray) -> np.ndarray:
-        """(N,) the torque of joint i's transmission."""
-        if self.motion.robot.joints[i].rigid:
+        """(N,) the torque of joint i's transmission; with unknown encoder offsets its load says it."""
+        if self.motion.robot.joints[i].rigid or self.floating:
             return self.motion.rigid.tau[i]
         base = self.base(i)
         return base.spring if spring_hat is base.spring_hat else self._time(spring_hat)
@@ -237,7 +237,8 @@ class Chains:
             calm_net = self._time(own + calm.link) - self.calm.motion.rigid.tau[i]
         if self.floating:
             net, calm_net = net - np.mean(net), calm_net - np.mean(calm_net)
-        return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i))
+        noise = float(self.motion.readings.noise["q"][i])
+        return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i), noise)
 
     def _motor_friction(
         self,
@@ -256,7 +257,8 @@ class Chains:
         net = calm_net = self._time(net_hat)
         if self.calm is not None and calm is not None:
             calm_net = self._time(calm.motor - self.calm._load(i, calm.spring_torque, calm.link))
-        return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia)
+        noise = float(self.motion.readings.noise["theta"][i])
+        return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia, noise)
 
     def _link_inertia(self, i: int) -> float:
         return float(np.mean(self.motion.rigid.mass[:, i, i]))
@@ -269,16 +271,27 @@ class Chains:
         net: np.ndarray,
         calm_net: np.ndarray,
         inertia: float,
+        noise: float,
     ) -> np.ndarray:
         """Spectrum of the effects' dry friction (dry_friction.py)."""
+        level = self._level(effects, signals, speed, REST_SPEED)
+        rest = self.friction.rest_speed(level, inertia, noise)
+        if rest < REST_SPEED:
+            level = self._level(effects, signals, speed, rest)
+        return self.friction.spectrum(level, speed, net, calm_net, inertia, rest)
+
+    def _level(
+        self, effects: Sequence[Planned], signals: Signals, speed: np.ndarray, rest: float
+    ) -> np.ndarray:
+        """(N,) level of the effects' dry friction. What it does below the speed that the data resolve is not
+        known: it is held there."""
         level = np.zeros_like(speed)
-        # what a level does below the speed that the data resolve is not known: it is held there
-        resolved = np.where(speed < 0.0, -1.0, 1.0) * np.maximum(np.abs(speed), REST_SPEED)
+        resolved = np.where(speed < 0.0, -1.0, 1.0) * np.maximum(np.abs(speed), rest)
         moved, signals = signals, replace(signals, dtheta=resolved, dq=resolved)
         for e in effects:
             value = e.effect.level(signals, e.p, self._state(e, moved)) * np.ones_like(speed)
             level = level + self._since(e, value, np.zeros_like(value))
-        return self.friction.spectrum(level, speed, net, calm_net, inertia)
+        return level
 
     # ------------------------------------------------------------------ helpers
     def _state(self, e: Planned, signals: Signals) -> np.ndarray | float:

@@ -13,7 +13,9 @@ from scipy.ndimage import maximum_filter1d
 
 from flexjoint.diagnose.signals import Filter
 
-REST_SPEED = 0.04  # rad/s, below which the sign of a measured speed is not trusted
+REST_SPEED = 0.04  # rad/s, below which no sign of a measured speed is needed
+RESTING = 1.5  # of the speed that friction changes within the filter's width: a stop rings about as much
+SPEED_SIGMAS = 4.0  # of the sensors' noise in a speed, below which its sign says nothing
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
 CALM_SIGMAS = 5.0  # of the filter, within which of a motion a denoised acceleration rings
@@ -26,9 +28,17 @@ class DryFriction:
         self._window, self._sigma = window, sigma
         self.held = HELD  # times its level: the most that a friction holds at rest
         jomega = 1j * window.omega
+        # noise of a filtered speed, per unit of white noise in the position
+        self._speed_noise = float(np.sqrt(np.mean((window.omega * window.gain) ** 2)))
         # what the filter takes away, and its integral
         self._lost, nothing = 1.0 - window.gain, np.zeros_like(jomega)
         self._lost_integral = np.divide(self._lost, jomega, out=nothing, where=window.omega > 0)
+
+    def rest_speed(self, level: np.ndarray, inertia: float, noise: float) -> float:
+        """[rad/s] below which a filtered speed's sign does not tell where a body goes, from the friction's
+        level (N,), the body's inertia and the noise of its position."""
+        rings = RESTING * self._sigma * float(np.max(level)) / inertia
+        return min(REST_SPEED, max(rings, SPEED_SIGMAS * noise * self._speed_noise))
 
     def spectrum(
         self,
@@ -37,9 +47,10 @@ class DryFriction:
         net: np.ndarray,
         calm_net: np.ndarray,
         inertia: float,
+        rest: float,
     ) -> np.ndarray:
         """(F,) spectrum of the filtered friction torque, from series (N,): its level, the body's filtered
-        speed, and what else pulls at it, as measured and without noise.
+        speed, and what else pulls at it, as measured and without noise; below the `rest` speed it stands.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
@@ -49,7 +60,7 @@ class DryFriction:
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
         reach = 2 * int(np.ceil(CALM_SIGMAS * self._sigma / self._window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
-            moving = np.abs(sharp_speed) > REST_SPEED
+            moving = np.abs(sharp_speed) > rest
             near = maximum_filter1d(moving, reach)
             held = np.clip(np.where(near, sharp_net, calm_net + lost), -most, most)
             friction = np.where(moving, level * np.sign(sharp_speed), held)

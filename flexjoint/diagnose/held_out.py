@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from flexjoint.compare import Comparison, compare
 from flexjoint.diagnose.fit import Fit, fit, shifts
 from flexjoint.diagnose.selection import Selection
-from flexjoint.diagnose.verdict import SURE, certainty, standard_errors, without
+from flexjoint.diagnose.verdict import SURE, certainty, given_way, standard_errors, without
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import at_own_level, degenerate, score
 from flexjoint.diagnosis import Gain
@@ -108,15 +107,15 @@ def _instead(
             continue
         settled = at_own_level(rival)
         named = settled.effects[-1]
-        if degenerate(named) or certainty(settled, named, standard_errors(settled)[-1]) < SURE:
+        if (
+            degenerate(settled.workspace, named)
+            or certainty(settled, named, standard_errors(settled)[-1]) < SURE
+        ):
             continue
         fair = comparison(robot, recording, workspace, settled, nothing=selection.nothing)
         if fair is not None and not any(_worsened(fair, joint) for joint in joints):
-            kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
-            left = [fit(settled.workspace, r.effects) for r in selection.rivals[k] if r is not rival]
-            rivals = (*kept, tuple(sorted(left, key=score)))
             again = comparison(robot, recording, workspace, settled, measured)
-            return None if again is None else (replace(selection, best=settled, rivals=rivals), again)
+            return None if again is None else (given_way(selection, k, rival, settled), again)
     return None
 
 

@@ -180,7 +180,7 @@ class _Look:
         found: list[tuple[float, Fit, np.ndarray]] = []
         for scored in scanned[:TRIED]:
             trial = at_own_level(fit(best.workspace, [*best.effects, scored.planned()]))
-            if degenerate(trial.effects[-1]) or _unlimited(trial.effects[-1]):
+            if degenerate(trial.workspace, trial.effects[-1]) or _unlimited(trial.effects[-1]):
                 continue
             if self.cleared(best, trial, k) < HALVED:
                 continue

@@ -26,7 +26,10 @@ from flexjoint.diagnose.worth import (
 )
 from flexjoint.effect import Planned
 
-FILTERED = 1e-5  # share of the explained energy by which laws differ as filtered balances see their kinks
+FILTERED = 1e-5  # share of the explained energy by which laws differ as filtered balances see their kinks ...
+FILTERED_BLIND = (
+    1e-4  # ... and where a position is made of the nominal model, which is known to first order only
+)
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
 PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
@@ -136,7 +139,8 @@ def choose(fits: Sequence[Fit]) -> Fit:
     filters leave of all that is explained, the plainest."""
     best = min(fits, key=score)
     bare = best.workspace.energy(best.workspace.residual([]))
-    close = score(best) + LEFTOVER * leftover(best) + FILTERED * max(0.0, bare - best.energy)
+    share = FILTERED_BLIND if best.workspace.motion.missing else FILTERED
+    close = score(best) + LEFTOVER * leftover(best) + share * max(0.0, bare - best.energy)
     return min((f for f in fits if score(f) <= close), key=lambda f: (price(f.effects), score(f)))
 
 
@@ -151,7 +155,7 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
     for scored in scanned[:POLISHED]:
         if scored.removes >= enough:
             fitted = fit(current.workspace, [*current.effects, scored.planned()])
-            if not degenerate(fitted.effects[-1]):
+            if not degenerate(current.workspace, fitted.effects[-1]):
                 out.append(fitted)
     return out
 

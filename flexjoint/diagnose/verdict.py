@@ -11,7 +11,7 @@ import numpy as np
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.reliability import left_by, reliability
-from flexjoint.diagnose.selection import Selection
+from flexjoint.diagnose.selection import Selection, choose
 from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, leftover, score
 from flexjoint.diagnosis import Estimation, Finding, Fitted, Ranked, Tie, WithinTolerance
 from flexjoint.effect import Kind, Planned
@@ -39,11 +39,11 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
     notes: list[str] = []
     while selection.best.effects:
         best = selection.best
-        shrunk = next((e for e in best.effects if degenerate(e)), None)
+        shrunk = next((e for e in best.effects if degenerate(best.workspace, e)), None)
         if shrunk is not None:
             why = "a number of its law is at its bound, where it is another law or none"
             notes.append(f"{shrunk} would make the balance smaller, but {why}: not named")
-            selection = without(selection, shrunk)
+            selection = _plainer(selection, shrunk) or without(selection, shrunk)
             continue
         denied = next((e for e in best.effects if contradicted(best, _without(best, e))), None)
         if denied is not None:
@@ -63,6 +63,35 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
         )
         selection = without(selection, best.effects[worst])
     return selection, tuple(notes)
+
+
+def _plainer(selection: Selection, shrunk: Planned) -> Selection | None:
+    """The selection with its best rival in the place of a law that has shrunk; None where there is none that
+    explains anything."""
+    best = selection.best
+    k = best.effects.index(shrunk)
+    bare = score(_without(best, shrunk))
+    fits = [
+        r
+        for r in selection.rivals[k]
+        if score(r) < bare
+        and len(r.effects) <= len(best.effects)
+        and not degenerate(r.workspace, r.effects[-1])
+    ]
+    if not fits:
+        return None
+    rival = choose(fits)
+    settled = at_own_level(rival)
+    if degenerate(settled.workspace, settled.effects[-1]):
+        return None
+    return given_way(selection, k, rival, settled)
+
+
+def given_way(selection: Selection, k: int, rival: Fit, settled: Fit) -> Selection:
+    """The selection with a rival, at its own level, in the place of effect k, with rivals of its own."""
+    kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
+    left = [fit(settled.workspace, r.effects) for r in selection.rivals[k] if r is not rival]
+    return replace(selection, best=settled, rivals=(*kept, tuple(sorted(left, key=score))))
 
 
 def improbable(found: Sequence[Finding]) -> tuple[Finding, ...]:

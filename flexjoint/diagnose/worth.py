@@ -34,6 +34,7 @@ CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fit
 CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
 CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
 AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
+BOUNDLESS = 30.0  # times a joint's RMS torque, beyond which a law's own torque is no torque of it
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 LEVEL_ROUNDS = 5
 
@@ -65,11 +66,17 @@ def at_own_level(result: Fit) -> Fit:
     return result
 
 
-def degenerate(planned: Planned) -> bool:
-    """Whether a law has shrunk to none, or to a simpler one: a shape parameter at its bound."""
+def degenerate(workspace: Workspace, planned: Planned) -> bool:
+    """Whether a law has shrunk to none, or to a simpler one (a shape parameter at its bound), or names a
+    torque that its joint cannot have shown (a bump of friction below the speeds that the data resolve)."""
     sizes = [(planned.values[p.name], p.null) for p in planned.effect.nulls]
     if all(np.all(np.ravel(size) == null) for size, null in sizes):
         return True
+    if planned.joint is not None:
+        most = BOUNDLESS * workspace.torque_scale[workspace.robot.joint_names.index(planned.joint)]
+        torques = [planned.values[p.name] for p in planned.effect.nulls if p.unit == "N m" and p.null == 0.0]
+        if any(np.any(np.abs(torque) > most) for torque in torques):
+            return True
     shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
     return any(
         np.isclose(planned.values[p.name], (p.low, p.high), rtol=AT_BOUND, atol=0.0).any() for p in shapes
@@ -78,7 +85,7 @@ def degenerate(planned: Planned) -> bool:
 
 def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error."""
-    if degenerate(added) or score(trial) >= score(without):
+    if degenerate(trial.workspace, added) or score(trial) >= score(without):
         return False
     earned, left = explained(trial, without, added), leftover(trial)
     if earned - (price(trial.effects) - price(without.effects)) < LEFTOVER * left:
