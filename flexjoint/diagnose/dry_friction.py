@@ -27,6 +27,7 @@ class DryFriction:
     def __init__(self, window: Filter, sigma: float) -> None:
         self._window, self._sigma = window, sigma
         self.held = HELD  # times its level: the most that a friction holds at rest
+        self.least_rest = 0.0  # rad/s, below which a body stands whatever its friction
         jomega = 1j * window.omega
         # noise of a filtered speed, per unit of white noise in the position
         self._speed_noise = float(np.sqrt(np.mean((window.omega * window.gain) ** 2)))
@@ -38,7 +39,7 @@ class DryFriction:
         """[rad/s] below which a filtered speed's sign does not tell where a body goes, from the friction's
         level (N,), the body's inertia and the noise of its position."""
         rings = RESTING * self._sigma * float(np.max(level)) / inertia
-        return min(REST_SPEED, max(rings, SPEED_SIGMAS * noise * self._speed_noise))
+        return min(REST_SPEED, max(self.least_rest, rings, SPEED_SIGMAS * noise * self._speed_noise))
 
     def spectrum(
         self,

@@ -23,6 +23,7 @@ import numpy as np
 from flexjoint.compare import compare
 from flexjoint.diagnose.balances import MOTOR, TwinBalances
 from flexjoint.diagnose.candidates import Candidate
+from flexjoint.diagnose.dry_friction import REST_SPEED
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.held_out import HORIZON
 from flexjoint.diagnose.motion import reconstruct
@@ -242,5 +243,6 @@ def _workspace(robot: Robot, recording: Recording, first: Workspace, best: Fit) 
     twins = TwinBalances(reconstruct(robot, blunt, recording), reconstruct(robot, denoised(blunt), recording))
     for one in (twins, twins.quiet):
         one.chains.friction.held = HELD_AT_REST
+        one.chains.friction.least_rest = REST_SPEED  # before a real joint slides it creeps
     twins.chains.calm = None  # an error that is no noise is not to be filtered out of what holds a body
     return JointwiseWorkspace(twins, first.deviation)
