@@ -26,6 +26,18 @@ def test_a_friction_at_rest_takes_no_noise() -> None:
     assert abs(nothing - rubbing) < 10.0  # less than any price
 
 
+@pytest.mark.parametrize("level", [0.012, 0.3])
+def test_a_friction_leaves_the_noise_whether_it_is_small_or_large(level: float) -> None:
+    """Below which speed a joint rests follows from its friction: with the 0.04 rad/s to which a large one
+    makes a stop ring the small one left 1.43 times the noise on this slow joint."""
+    friction = Planted("motor_coulomb_friction", "turn", {"level": level})
+    recorded = Case("turret_exact", "slow", 3).with_causes(friction)
+    workspace = Workspace(balances_of(nominal("turret_exact"), as_recording(recorded)))
+    left = workspace.energy(workspace.residual([planned("motor_coulomb_friction", "turn", {"level": level})]))
+
+    assert left < 1.2 * workspace.noise_energy  # 1.07 and 1.12
+
+
 def test_deviations_are_taken_together_with_their_products() -> None:
     """With encoder offsets of 0.02 rad a spring 2 % off pulls by K times both: beyond first order."""
     known = nominal("gimbal")
