@@ -11,7 +11,7 @@ from planting import Planted
 from flexjoint.diagnose import selection
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.fit import Fit, fit
-from flexjoint.diagnose.reliability import left_by, reliability
+from flexjoint.diagnose.reliability import LEAST, left_by, reliability
 from flexjoint.diagnose.selection import date_onset
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import contradicted, explained
@@ -86,7 +86,7 @@ def test_a_name_is_believed_by_what_it_leaves() -> None:
     assert left[0] < 30.0
     assert left[1] > 1000.0
     assert reliability(true, left[0]) > 0.5
-    assert reliability(other, left[1]) < 0.2
+    assert reliability(other, left[1]) == LEAST
     strained = replace(true, workspace=true.workspace.at(true.workspace.temper, 2.0))
     assert reliability(strained, left[0]) < reliability(true, left[0])
 

@@ -14,6 +14,7 @@ from flexjoint.diagnose.balances import Balances, balances_of
 from flexjoint.diagnose.candidates import STILL, enumerate_candidates
 from flexjoint.diagnose.experiment import advice
 from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnose.reliability import LEAST
 from flexjoint.diagnose.second_look import look_again
 from flexjoint.diagnose.selection import Selection, select
 from flexjoint.diagnose.together import combine
@@ -27,7 +28,6 @@ from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
 EXPLAINED = 0.9  # of the error above noise, below which the causes found are not the whole story
-LIKELY = 0.2  # reliability of a name, below which it need not be the story at all
 SHORTEST = 1.0  # s of usable data
 
 Progress = Callable[[float, str], None]
@@ -233,7 +233,7 @@ def _refusal(balances: Balances) -> str:
 
 
 def _verdict(found: Sequence[Finding], left: Sequence[Unexplained], explained: float) -> tuple[str, str]:
-    unlikely = [f for f in found if f.reliability < LIKELY]
+    unlikely = [f for f in found if f.reliability <= LEAST]
     if explained >= EXPLAINED and unlikely:
         most = max(f.left for f in unlikely)
         return (

@@ -14,10 +14,10 @@ import numpy as np
 from flexjoint.diagnose.fit import Fit
 from flexjoint.diagnose.worth import torque_shares
 
-CLEAN = 2.4  # log-odds of a name that leaves the noise
-PER_DECADE = 1.4  # less for every factor of ten in variance that is left ...
-DECADES = 3.0  # ... up to so many: few planted machines tell more
+CLEAN = 3.2  # log-odds of a name that leaves the noise
+PER_DECADE = 1.8  # less for every factor of ten in variance that is left
 STRAIN = 1.5  # less where nominal numbers are implausible beside it
+LEAST = 0.2  # beyond which planted machines tell nothing of real ones, which always leave something
 
 
 def left_by(best: Fit, k: int) -> float:
@@ -28,7 +28,7 @@ def left_by(best: Fit, k: int) -> float:
 
 
 def reliability(best: Fit, left: float) -> float:
-    """Probability that a name is right which leaves so much."""
-    decades = min(DECADES, float(np.log10(max(1.0, left))))
+    """Probability that a name is right which leaves so much; LEAST where it need not be the story at all."""
     strained = STRAIN if best.workspace.strain > 1.0 else 0.0
-    return float(1.0 / (1.0 + np.exp(PER_DECADE * decades + strained - CLEAN)))
+    against = PER_DECADE * float(np.log10(max(1.0, left))) + strained - CLEAN
+    return max(LEAST, float(1.0 / (1.0 + np.exp(against))))
