@@ -132,6 +132,7 @@ class Effect:
     whole_robot: ClassVar[bool] = False  # acts on the robot, not on a joint (`joint` is null)
     max_delay: ClassVar[float] = 0.0
     contains: ClassVar[tuple[str, ...]] = ()  # simpler effects that are special cases of this one
+    alike: ClassVar[tuple[str, ...]] = ()  # numbers that, being equal, leave the effect that it contains
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness
 
     # --- what an effect can do -------------------------------------------------------------------

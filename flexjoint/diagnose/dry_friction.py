@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter1d
 from flexjoint.diagnose.signals import Filter
 
 REST_SPEED = 0.04  # rad/s, below which no sign of a measured speed is needed
-RESTING = 1.5  # of the speed that friction changes within the filter's width: a stop rings about as much
+RESTING = 1.0  # of the speed that friction changes within the filter's width: a stop rings about as much
 SPEED_SIGMAS = 4.0  # of the sensors' noise in a speed, below which its sign says nothing
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
@@ -37,9 +37,11 @@ class DryFriction:
 
     def rest_speed(self, level: np.ndarray, inertia: float, noise: float) -> float:
         """[rad/s] below which a filtered speed's sign does not tell where a body goes, from the friction's
-        level (N,), the body's inertia and the noise of its position."""
+        level (N,), the body's inertia and the noise of its position; in half octaves, so that a fit of the
+        level does not move it."""
         rings = RESTING * self._sigma * float(np.max(level)) / inertia
-        return min(REST_SPEED, max(self.least_rest, rings, SPEED_SIGMAS * noise * self._speed_noise))
+        least = max(self.least_rest, rings, SPEED_SIGMAS * noise * self._speed_noise, 1e-6)
+        return REST_SPEED * 2.0 ** min(0.0, 0.5 * np.ceil(2.0 * np.log2(least / REST_SPEED)))
 
     def spectrum(
         self,

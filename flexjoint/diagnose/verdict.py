@@ -14,7 +14,7 @@ from flexjoint.diagnose.reliability import left_by, reliability
 from flexjoint.diagnose.selection import Selection, choose
 from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, leftover, score
 from flexjoint.diagnosis import Estimation, Finding, Fitted, Ranked, Tie, WithinTolerance
-from flexjoint.effect import Kind, Planned
+from flexjoint.effect import Kind, Param, Planned, catalogue
 
 TIE = 12.0  # score by which a rival may lose and still fit as well
 MOVED = 12.0  # more where readings are moved in time, which brings other noise at the record's edges
@@ -39,9 +39,11 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
     notes: list[str] = []
     while selection.best.effects:
         best = selection.best
-        shrunk = next((e for e in best.effects if degenerate(best.workspace, e)), None)
+        errors = standard_errors(best)
+        pairs = list(zip(best.effects, errors, strict=True))
+        shrunk = next((e for e, std in pairs if degenerate(best.workspace, e) or _finer(best, e, std)), None)
         if shrunk is not None:
-            why = "a number of its law is at its bound, where it is another law or none"
+            why = "its law has shrunk to a simpler one or none, as far as its numbers are known"
             notes.append(f"{shrunk} would make the balance smaller, but {why}: not named")
             selection = _plainer(selection, shrunk) or without(selection, shrunk)
             continue
@@ -51,9 +53,7 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
             notes.append(f"{denied} would make a balance smaller, but {why}: not named")
             selection = without(selection, denied)
             continue
-        certain = [
-            certainty(best, e, std) for e, std in zip(best.effects, standard_errors(best), strict=True)
-        ]
+        certain = [certainty(best, e, std) for e, std in pairs]
         worst = int(np.argmin(certain))
         if certain[worst] >= SURE:
             break
@@ -138,14 +138,32 @@ def _without(best: Fit, effect: Planned) -> Fit:
 
 def certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:
     """Distance of an effect from its absence, in standard errors of the number that is furthest from it."""
+    return max([_distance(best, planned, param, spread) for param in planned.effect.nulls], default=0.0)
+
+
+def _distance(best: Fit, planned: Planned, param: Param, spread: dict[str, list[float]]) -> float:
+    """Distance of a number from its absence, in standard errors."""
     listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
-    distance = [0.0]
-    for param in planned.effect.nulls:
-        value = np.ravel(planned.values[param.name])
-        null = param.null if listed is None else np.ravel(listed.values[param.name])
-        std = np.array(spread.get(param.name, [0.0]))
-        distance.append(float(np.max(np.abs(value - null) / np.maximum(std, 1e-300))))
-    return max(distance)
+    value = np.ravel(planned.values[param.name])
+    null = param.null if listed is None else np.ravel(listed.values[param.name])
+    std = np.array(spread.get(param.name, [0.0]))
+    return float(np.max(np.abs(value - null) / np.maximum(std, 1e-300)))
+
+
+def _finer(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> bool:
+    """Whether an effect is a simpler one with numbers added of which none is known to be there, or numbers
+    apart that are not known to differ."""
+    if planned.effect.alike:
+        one, other = (float(planned.values[name]) for name in planned.effect.alike)
+        apart = float(np.linalg.norm([spread[name][0] for name in planned.effect.alike]))
+        return abs(one - other) < SURE * apart
+    for name in planned.effect.contains:
+        simple = {p.name for p in catalogue()[name].params}
+        if simple < {p.name for p in planned.effect.params}:
+            added = [p for p in planned.effect.nulls if p.name not in simple]
+            if added and all(_distance(best, planned, p, spread) < SURE for p in added):
+                return True
+    return False
 
 
 def findings(

@@ -20,6 +20,7 @@ class AsymmetricFriction(Effect):
         Param("level_negative", "N m", r"\tau_-", 0.2, 0.0, 1e4),
     )
     contains = ("motor_coulomb_friction",)
+    alike = ("level_positive", "level_negative")
 
     def level(self, s: Signals, p: Any, z: Value) -> Value:
         direction = ops.where(s.dtheta == 0.0, s.tau_m - s.tau_t, s.dtheta)

@@ -24,6 +24,7 @@ class DriveEfficiency(Effect):
         Param("loss_backdriving", "1", r"\mu_b", 0.2, 0.0, 20.0),
     )
     contains = ("load_friction",)
+    alike = ("loss_driving", "loss_backdriving")
 
     def level(self, s: Signals, p: Any, z: Value) -> Value:
         direction = ops.where(s.dtheta == 0.0, s.tau_m - s.tau_t, s.dtheta)
