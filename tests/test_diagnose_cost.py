@@ -72,7 +72,10 @@ def test_what_is_remembered_changes_no_fit(monkeypatch: pytest.MonkeyPatch) -> N
 def test_residuals_are_made_of_what_changes() -> None:
     """Joint by joint against the nominal model's, or all balances at once."""
     here = workspace()
-    effects = [plan("backlash", "elbow", {"gap": 0.004}), plan("cogging", "shoulder", {"amplitude": 0.4})]
+    effects = [
+        plan("backlash", "elbow", {"gap": 0.004}),
+        plan("link_viscous_friction", "shoulder", {"coefficient": 0.4}),
+    ]
     whole = here.whitened(here.with_nominal(effects))
     # some thousand noises large, of which rounding leaves 1e-12
     assert here.residual(effects) == pytest.approx(whole, abs=1e-12 * float(np.max(np.abs(whole))) + 1e-9)
