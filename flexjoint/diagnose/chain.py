@@ -237,8 +237,7 @@ class Chains:
             calm_net = self._time(own + calm.link) - self.calm.motion.rigid.tau[i]
         if self.floating:
             net, calm_net = net - np.mean(net), calm_net - np.mean(calm_net)
-        noise = float(self.motion.readings.noise["q"][i])
-        return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i), noise)
+        return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i), self._noise(i))
 
     def _motor_friction(
         self,
@@ -257,8 +256,11 @@ class Chains:
         net = calm_net = self._time(net_hat)
         if self.calm is not None and calm is not None:
             calm_net = self._time(calm.motor - self.calm._load(i, calm.spring_torque, calm.link))
-        noise = float(self.motion.readings.noise["theta"][i])
-        return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia, noise)
+        return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia, self._noise(i))
+
+    def _noise(self, i: int) -> float:
+        """Noise of joint i's positions: an angle without a sensor is made of the other one."""
+        return max(float(self.motion.readings.noise[channel][i]) for channel in ("q", "theta"))
 
     def _link_inertia(self, i: int) -> float:
         return float(np.mean(self.motion.rigid.mass[:, i, i]))
