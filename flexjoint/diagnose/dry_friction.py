@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter1d
 
 from flexjoint.diagnose.signals import Filter
 
-REST_SPEED = 0.04  # rad/s, below which no sign of a measured speed is needed
+REST_SPEED = 0.04  # rad/s, above which a body moves whatever its friction
 RESTING = 1.0  # of the speed that friction changes within the filter's width: a stop rings about as much
 SPEED_SIGMAS = 4.0  # of the sensors' noise in a speed, below which its sign says nothing
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it

@@ -75,7 +75,7 @@ def _plainer(selection: Selection, shrunk: Planned) -> Selection | None:
         r
         for r in selection.rivals[k]
         if score(r) < bare
-        and len(r.effects) <= len(best.effects)
+        and len(r.effects) == len(best.effects)
         and not degenerate(r.workspace, r.effects[-1])
     ]
     if not fits:
