@@ -9,18 +9,18 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from flexjoint.diagnose import held_out, leftover, refined, verdict
+from flexjoint.diagnose import held_out, leftover, verdict
 from flexjoint.diagnose.balances import Balances, balances_of
 from flexjoint.diagnose.candidates import STILL, enumerate_candidates
 from flexjoint.diagnose.experiment import advice
-from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnose.naming import named
 from flexjoint.diagnose.reliability import LEAST
 from flexjoint.diagnose.second_look import look_again
 from flexjoint.diagnose.selection import Selection, select
 from flexjoint.diagnose.together import combine
 from flexjoint.diagnose.verdict import Errors, Key
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.diagnosis import Diagnosis, Estimation, Finding, Unexplained
+from flexjoint.diagnosis import Diagnosis, Finding, Unexplained
 from flexjoint.effect import catalogue
 from flexjoint.errors import RecordingError, unknown
 from flexjoint.known_payload import KnownPayload
@@ -89,28 +89,10 @@ def diagnose(
         if again is not None:
             workspace, selection, notes = again.workspace, again.selection, (*notes, *again.notes)
             measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
-    while True:
-        best = selection.best
-        residuals = leftover.views(best, selection.nothing)
-        left = leftover.unexplained(best, residuals)
-        explained = leftover.explained(best, residuals)
-        gains = held_out.gains(workspace, best)
-        found = verdict.findings(selection, gains, explained, spread)
-        doubtful, why = verdict.improbable(found), "something like {} would help, but others fit as well"
-        if not doubtful:
-            found, estimation, told = _estimated(robot, recordings, best, found, refine, report)
-            doubtful, why = (
-                verdict.vanishing(best, found, estimation),
-                "the simulation does not tell {} from none",
-            )
-        if not doubtful:
-            break
-        for finding in doubtful:
-            selection = verdict.without(selection, finding.planned)
-            notes += (f"{why.format(finding.planned)}: not named",)
-        measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
-    notes += (*told, *verdict.not_believed(best))
-    found = verdict.merged(found, candidates)
+    result = named(robot, recordings, workspace, selection, measured, spread, refine=refine, report=report)
+    selection, best, left, explained = result.selection, result.selection.best, result.left, result.explained
+    notes += (*result.notes, *verdict.not_believed(best))
+    found = verdict.merged(result.found, candidates)
     kind, reason = _verdict(found, left, explained)
     blind = verdict.not_excited(selection, candidates)
     report(1.0, "done")
@@ -121,17 +103,17 @@ def diagnose(
         unexplained=left,
         not_excited=blind,
         within_tolerance=verdict.within_tolerance(best),
-        comparison=measured,
+        comparison=result.measured,
         next_experiment=advice(robot, recording, found, left, blind),
         ranking=verdict.ranking(selection),
-        residuals=residuals,
+        residuals=result.residuals,
         explained=explained,
         notes=notes,
         energy=(
             float(np.mean(selection.nothing.workspace.temper)),
             float(np.mean(best.workspace.temper)),
         ),
-        estimation=estimation,
+        estimation=result.estimation,
     )
 
 
@@ -170,27 +152,6 @@ def _searched(robot: Robot, recording: Recording, excluded: frozenset[str], repo
     workspace = Workspace(balances)
     selection = select(workspace, enumerate_candidates(workspace, excluded), report)
     return verdict.sure(selection)[0]
-
-
-def _estimated(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    best: Fit,
-    found: tuple[Finding, ...],
-    refine: bool,
-    report: Progress,
-) -> tuple[tuple[Finding, ...], Estimation | None, tuple[str, ...]]:
-    """The findings with their numbers refined on the simulation where that is asked for and can be done, how
-    they were estimated, and notes."""
-    if not found:
-        return found, None, ()
-    if not refine or len(recordings) > 1:
-        why = "several recordings share their numbers" if refine else "no refinement was asked for"
-        return found, refined.from_balances(best, why), ()
-    report(0.95, "refining the numbers on the simulation")
-    found, estimation = refined.refine(robot, recordings[0], best, found)
-    why = estimation.why
-    return found, estimation, (f"numbers are those of the torque balances: {why}",) if why else ()
 
 
 def _doubtful(selection: Selection) -> bool:

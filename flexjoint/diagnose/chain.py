@@ -17,6 +17,7 @@ from scipy.ndimage import map_coordinates
 from flexjoint.diagnose.dry_friction import REST_SPEED, DryFriction
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.recent import Recent
+from flexjoint.diagnose.states import state_along
 from flexjoint.effect import Drive, Planned, Signals, Site
 
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
@@ -297,28 +298,31 @@ class Chains:
 
     # ------------------------------------------------------------------ helpers
     def _state(self, e: Planned, signals: Signals) -> np.ndarray | float:
-        """Internal state of an effect along the recording; rates are affine in the state, so that each
-        step is exact for signals held over it."""
+        """Internal state of an effect along the recording, driven by its joint's signals without noise."""
         if not e.effect.states:
             return 0.0
-        p, one = e.p, np.ones(self.filter.count)
-        smooth = replace(signals, phi=self.filter.smooth(signals.phi))
-        begin = int(np.argmax(self.motion.readings.valid))
-        # before it the filter sees the record's edge, and a state would keep what that does
-        for name in ("dq", "dtheta", "dphi"):
-            speed = getattr(smooth, name) * one
-            speed[:begin] = speed[begin]
-            setattr(smooth, name, speed)
-        offset = e.effect.rate(smooth, p, 0.0 * one) * one
-        decay = offset - e.effect.rate(smooth, p, one)
-        h = self.period
-        keep = np.exp(-np.clip(decay, 0.0, 1e5) * h)
-        gain = np.where(decay * h < 1e-6, h, (1.0 - keep) / np.maximum(decay, 1e-12))
-        z, out = float(e.effect.states[0]), []
-        for k, a in zip(keep.tolist(), (gain * offset).tolist(), strict=True):
-            out.append(z)
-            z = k * z + a
-        return np.array(out)
+        quiet = self._without_noise(e, signals)
+        quiet.phi = self.filter.smooth(quiet.phi)
+        return state_along(e, quiet, self.period, int(np.argmax(self.motion.readings.valid)))
+
+    def _without_noise(self, e: Planned, signals: Signals) -> Signals:
+        """A copy of the signals of an effect's joint without their sensors' noise, as far as the twin tells:
+        a state's law takes the magnitude of a speed, and a mean of noise does not vanish there."""
+        if self.calm is None or e.joint is None:
+            return replace(signals)
+        i = self.motion.robot.joint_names.index(e.joint)
+        here, there = self.base(i), self.calm.base(i)
+        q, theta = here.q - there.q, here.theta - there.theta
+        dq, dtheta = here.dq - there.dq, here.dtheta - there.dtheta
+        return replace(
+            signals,
+            q=signals.q - q,
+            theta=signals.theta - theta,
+            phi=signals.phi - (theta - q),
+            dq=signals.dq - dq,
+            dtheta=signals.dtheta - dtheta,
+            dphi=signals.dphi - (dtheta - dq),
+        )
 
     def _since(self, e: Planned, with_effect: np.ndarray, without: np.ndarray) -> np.ndarray:
         return with_effect if e.since is None else np.where(self.t >= e.since, with_effect, without)

@@ -18,17 +18,28 @@ CLEAN = 3.2  # log-odds of a name that leaves the noise
 PER_DECADE = 1.8  # less for every factor of ten in variance that is left
 STRAIN = 1.5  # less where nominal numbers are implausible beside it
 LEAST = 0.2  # beyond which planted machines tell nothing of real ones, which always leave something
+CLEARING = (
+    1e-3  # share of a variance up to which filters and friction zones leave something of any cause, and
+)
+CLEARED = 0.3  # how often at least a name is right that leaves no more
 
 
-def left_by(best: Fit, k: int) -> float:
-    """Largest variance, in that of the noise, of what is left in the balances that effect k of a set touches;
-    correlated leftovers count as the few independent samples that they are."""
-    touched = torque_shares(best.workspace, best.effects, k) > 0.0
-    return float(np.max(best.workspace.levels(best.y)[touched], initial=1.0))
+def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
+    """Largest variance, in that of the noise, of what is left in the balances that effect k of a set touches,
+    and its share of what was there with `nothing`; correlated leftovers count as the few independent samples
+    that they are."""
+    touched = np.flatnonzero(torque_shares(best.workspace, best.effects, k) > 0.0)
+    if not touched.size:
+        return 1.0, 1.0
+    levels = best.workspace.levels(best.y)
+    row = touched[np.argmax(levels[touched])]
+    return float(levels[row]), float(levels[row] / nothing.workspace.temper[row])
 
 
-def reliability(best: Fit, left: float) -> float:
-    """Probability that a name is right which leaves so much; LEAST where it need not be the story at all."""
+def reliability(best: Fit, left: float, share: float) -> float:
+    """Probability that a name is right which leaves so much, a share of what was there; LEAST where it need
+    not be the story at all."""
     strained = STRAIN if best.workspace.strain > 1.0 else 0.0
     against = PER_DECADE * float(np.log10(max(1.0, left))) + strained - CLEAN
-    return max(LEAST, float(1.0 / (1.0 + np.exp(against))))
+    least = CLEARED if share < CLEARING else LEAST
+    return max(least, float(1.0 / (1.0 + np.exp(against))))

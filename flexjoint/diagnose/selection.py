@@ -35,7 +35,8 @@ PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
 MOST_EFFECTS = 12
 MOST_EXCHANGES = 4
-ONSET_STEPS = (0.25, 0.1, 0.04, 0.015)  # s, of the search for an onset
+ONSET_STEPS = (0.25, 0.1, 0.04, 0.015, 0.006, 0.002)  # s, of the search for an onset: a jump of an encoder
+# is seen to the sample, and dated wrongly explains nothing
 
 Progress = Callable[[float, str], None]
 
@@ -72,7 +73,7 @@ def select(
         found = on_one_level([*found, *clearing(best, trials, bare, beyond)])
         if not found:
             break
-        best = prune(at_own_level(date_onset(choose(found))))
+        best = prune(at_own_level(choose(found)))
         if _keys(best) in seen:
             break
         seen.add(_keys(best))
@@ -145,8 +146,8 @@ def choose(fits: Sequence[Fit]) -> Fit:
 
 
 def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Fit]:
-    """The most promising candidates fitted together with the current set: those whose first-order gain
-    comes near the best one's, and near the `needed` energy."""
+    """The most promising candidates fitted together with the current set, and dated: those whose first-order
+    gain comes near the best one's, and near the `needed` energy."""
     out: list[Fit] = []
     if not scanned:
         return out
@@ -154,7 +155,7 @@ def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list
     enough = max(PROMISING * most, RIVALLING * min(needed, most), 1.0)
     for scored in scanned[:POLISHED]:
         if scored.removes >= enough:
-            fitted = fit(current.workspace, [*current.effects, scored.planned()])
+            fitted = date_onset(fit(current.workspace, [*current.effects, scored.planned()]))
             if not degenerate(current.workspace, fitted.effects[-1]):
                 out.append(fitted)
     return out
@@ -181,11 +182,20 @@ def exchange(
         swapped = choose([result, *fits])
         if swapped is not result and exchanges < MOST_EXCHANGES:
             exchanges += 1
-            result = prune(at_own_level(date_onset(swapped)))
-            waiting = [e.key for e in result.effects]
-            continue
+            settled = at_own_level(swapped)
+            if _still_better(settled, result):
+                result = prune(settled)
+                waiting = [e.key for e in result.effects]
+                continue
         rivals[key] = tuple(sorted(fits, key=score))
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
+
+
+def _still_better(settled: Fit, result: Fit) -> bool:
+    """Whether a set with another effect in it is better than a `result` at its own level, too."""
+    if degenerate(settled.workspace, settled.effects[-1]):
+        return False
+    return choose([fit(settled.workspace, result.effects), settled]) is settled
 
 
 def containing(result: Fit, replaced: str) -> list[Fit]:

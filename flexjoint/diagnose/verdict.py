@@ -13,8 +13,8 @@ from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.reliability import left_by, reliability
 from flexjoint.diagnose.selection import Selection, choose
 from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, leftover, score
-from flexjoint.diagnosis import Estimation, Finding, Fitted, Ranked, Tie, WithinTolerance
-from flexjoint.effect import Kind, Param, Planned, catalogue
+from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
+from flexjoint.effect import Kind, Param, Planned
 
 TIE = 12.0  # score by which a rival may lose and still fit as well
 MOVED = 12.0  # more where readings are moved in time, which brings other noise at the record's edges
@@ -23,7 +23,6 @@ SCORE_BLOCK = 1.0  # s, of the time blocks behind the standard errors
 SEEN_SHARE = 0.2  # of a joint's torque: an effect that must be larger to be seen was not excited
 DETECTABLE = 20.0  # energy that makes an effect seen
 SAME = 3.0  # deviations within which joints share one value
-PROBABLE = 0.1  # probability, ties together, below which a cause is not named
 SURE = 3.0  # standard errors by which a cause must differ from none
 NOTABLE = 2.0  # standard errors by which a nominal number must be off to be worth a line
 BELIEVED = 3.0  # prior deviations beyond which a nominal number stands for something else that is wrong
@@ -41,11 +40,11 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
         best = selection.best
         errors = standard_errors(best)
         pairs = list(zip(best.effects, errors, strict=True))
-        shrunk = next((e for e, std in pairs if degenerate(best.workspace, e) or _finer(best, e, std)), None)
+        shrunk = next((e for e in best.effects if degenerate(best.workspace, e)), None)
         if shrunk is not None:
-            why = "its law has shrunk to a simpler one or none, as far as its numbers are known"
+            why = "its law has shrunk to a simpler one or none"
             notes.append(f"{shrunk} would make the balance smaller, but {why}: not named")
-            selection = _plainer(selection, shrunk) or without(selection, shrunk)
+            selection = plainer(selection, shrunk)
             continue
         denied = next((e for e in best.effects if contradicted(best, _without(best, e))), None)
         if denied is not None:
@@ -65,12 +64,12 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
     return selection, tuple(notes)
 
 
-def _plainer(selection: Selection, shrunk: Planned) -> Selection | None:
-    """The selection with its best rival in the place of a law that has shrunk; None where there is none that
-    explains anything."""
+def plainer(selection: Selection, shrunk: Planned) -> Selection:
+    """The selection with its best rival in the place of a law that has shrunk, or without that law where no
+    rival explains anything."""
     best = selection.best
-    k = best.effects.index(shrunk)
-    bare = score(_without(best, shrunk))
+    k = next(k for k, e in enumerate(best.effects) if e.key == shrunk.key)
+    bare = score(_without(best, best.effects[k]))
     fits = [
         r
         for r in selection.rivals[k]
@@ -79,11 +78,11 @@ def _plainer(selection: Selection, shrunk: Planned) -> Selection | None:
         and not degenerate(r.workspace, r.effects[-1])
     ]
     if not fits:
-        return None
+        return without(selection, shrunk)
     rival = choose(fits)
     settled = at_own_level(rival)
     if degenerate(settled.workspace, settled.effects[-1]):
-        return None
+        return without(selection, shrunk)
     return given_way(selection, k, rival, settled)
 
 
@@ -92,33 +91,6 @@ def given_way(selection: Selection, k: int, rival: Fit, settled: Fit) -> Selecti
     kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
     left = [fit(settled.workspace, r.effects) for r in selection.rivals[k] if r is not rival]
     return replace(selection, best=settled, rivals=(*kept, tuple(sorted(left, key=score))))
-
-
-def improbable(found: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Findings that a rival fits better than: the set explains something, but not by this name."""
-    return tuple(
-        f for f in found if f.probability / f.reliability * (1 + len(f.indistinguishable)) < PROBABLE
-    )
-
-
-def vanishing(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
-    """Findings, where they were refined on the simulation, of which no number, as it is reported, differs
-    from its absence by SURE standard errors: where friction rests, the curvature of a balance can promise
-    what a simulation does not keep."""
-    if estimation is None or estimation.method != "output_error":
-        return ()
-    listed = {e.key for e in best.workspace.nominal}  # of these the change is reported
-    out = []
-    for f in found:
-        distance = []
-        for param in f.planned.effect.nulls:
-            size, null = f.parameters[param.name], 0.0 if f.planned.key in listed else param.null
-            if isinstance(size, Fitted) and null is not None:
-                std = np.maximum(np.ravel(size.std), 1e-300)
-                distance.append(float(np.max(np.abs(np.ravel(size.value) - null) / std)))
-        if max(distance, default=SURE) < SURE:
-            out.append(f)
-    return tuple(out)
 
 
 def without(selection: Selection, effect: Planned) -> Selection:
@@ -150,22 +122,6 @@ def _distance(best: Fit, planned: Planned, param: Param, spread: dict[str, list[
     return float(np.max(np.abs(value - null) / np.maximum(std, 1e-300)))
 
 
-def _finer(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> bool:
-    """Whether an effect is a simpler one with numbers added of which none is known to be there, or numbers
-    apart that are not known to differ."""
-    if planned.effect.alike:
-        one, other = (float(planned.values[name]) for name in planned.effect.alike)
-        apart = float(np.linalg.norm([spread[name][0] for name in planned.effect.alike]))
-        return abs(one - other) < SURE * apart
-    for name in planned.effect.contains:
-        simple = {p.name for p in catalogue()[name].params}
-        if simple < {p.name for p in planned.effect.params}:
-            added = [p for p in planned.effect.nulls if p.name not in simple]
-            if added and all(_distance(best, planned, p, spread) < SURE for p in added):
-                return True
-    return False
-
-
 def findings(
     selection: Selection,
     gains: Sequence[float],
@@ -181,8 +137,8 @@ def findings(
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
-        ties, left = _ties(best, planned, rivals), left_by(best, k)
-        believed = reliability(best, left)
+        ties, (left, share) = _ties(best, planned, rivals), left_by(best, selection.nothing, k)
+        believed = reliability(best, left, share)
         out.append(
             Finding(
                 planned.effect.name,

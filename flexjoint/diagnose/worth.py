@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.fit import Fit, fit, shifts
 from flexjoint.diagnose.nuisance import NUMBERS
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Planned
@@ -105,13 +105,22 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
 
 def contradicted(trial: Fit, without: Fit) -> bool:
     """Whether what a set of effects explains beyond another leaves ten times more in a balance, beyond
-    noise: a spring's torque does not explain what its motor shows where its link does not show it."""
-    workspace = trial.workspace
+    noise: a spring's torque does not explain what its motor shows where its link does not show it. A gain
+    that a nominal number had hidden leaves more only until that number is corrected, too."""
+    plain = _worse(trial.workspace, without.effects, trial.effects)
+    return plain and _worse(
+        trial.workspace, [*without.effects, *shifts(without)], [*trial.effects, *shifts(trial)]
+    )
+
+
+def _worse(workspace: Workspace, effects: Sequence[Planned], others: Sequence[Planned]) -> bool:
+    """Whether a set of effects leaves ten times less than others in a balance, beyond noise."""
     balances, used = workspace.balances, workspace.readings.valid
-    change = balances.changed(workspace.with_nominal(without.effects), workspace.with_nominal(trial.effects))
+    one, other = workspace.with_nominal(effects), workspace.with_nominal(others)
+    change = balances.changed(one, other)
     if not change:
         return False
-    before = balances.residual(workspace.with_nominal(without.effects))
+    before = balances.residual(one)
     for r, moved in change.items():
         error, left = balances.time_series(np.array([before[r], before[r] + moved]))[:, used]
         if np.mean(left**2) > CLEARED * max(float(np.mean(error**2)), float(workspace.deviation[r]) ** 2):
