@@ -35,7 +35,7 @@ class Regressor:
         for joint in joints:
             carried_by = set(self._robot.model.supports[joint.pin_id])
             loaded.append(np.array([k for k, other in enumerate(joints) if other.pin_id in carried_by]))
-        out = [(rows, np.empty((10, rows.size, count))) for rows in loaded]
+        out = [(rows, np.empty((10, rows.size, count), np.float32)) for rows in loaded]
         body, rows_v = PinBody(self._robot.model), np.array([joint.idx_v for joint in joints])
         columns = [10 * (joint.pin_id - 1) + np.arange(10) for joint in joints]
         for first in range(0, count, REGRESSOR_CHUNK):
@@ -60,7 +60,8 @@ class Regressor:
 
 @dataclass(frozen=True)
 class Rigid:
-    """Rigid-body torques along the filtered motion and their sensitivities; n actuated joints."""
+    """Rigid-body torques along the filtered motion and their sensitivities (small changes are multiplied by
+    these: single precision will do); n actuated joints."""
 
     tau: np.ndarray  # (n, N)
     by_q: np.ndarray  # (N, n, n) d tau / d q
@@ -264,8 +265,8 @@ def along(
     inertial = own[[joint.pin_id - 1 for joint in robot.joints]]
     return Rigid(
         2.0 * quarter - half,
-        by_q[pick],
-        by_v[pick],
+        by_q[pick].astype(np.float32),
+        by_v[pick].astype(np.float32),
         mass[pick],
         Regressor(robot, at, v, a),
         by_gravity,

@@ -24,9 +24,9 @@ from flexjoint.effect import Planned
 BLOCKS = 16  # time blocks at whose edges an onset is tried
 ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferred
 RIDGE = 1e-7  # of a tangent of unit length
-MEMORY = 2e8  # bytes of the tolerances' columns and of traces that are remembered between scans
+MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are remembered between scans
 PART = 6  # candidates that a thread takes at a time
-BATCH = 32  # columns whose products are taken together
+BATCH = 16  # columns whose products are taken together
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,8 @@ class Scored:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A trace, with its columns not yet whitened: that is quickly done, and they are smaller."""
+    """A trace, with its columns not yet whitened: that is quickly done, and they are smaller. They are held in
+    single precision, for their number."""
 
     trace: Trace  # without columns
     bands: tuple[Band, ...]
@@ -180,7 +181,8 @@ class Scanner:
 
 def _kept(trace: Trace) -> tuple[_Kept, np.ndarray]:
     first = min((band.first for band in trace.bands if band.rows.size), default=0)
-    kept = _Kept(replace(trace, bands=()), trace.bands, first, 0.0)
+    bands = tuple(Band(band.rows, band.spectra.astype(np.complex64)) for band in trace.bands)
+    kept = _Kept(replace(trace, bands=()), bands, first, 0.0)
     columns = kept.columns()
     return replace(kept, sight=float(np.sqrt(np.max(np.einsum("krt,krt->k", columns, columns))))), columns
 

@@ -35,8 +35,10 @@ PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
 MOST_EFFECTS = 12
 MOST_EXCHANGES = 4
-ONSET_STEPS = (0.25, 0.1, 0.04, 0.015, 0.006, 0.002)  # s, of the search for an onset: a jump of an encoder
-# is seen to the sample, and dated wrongly explains nothing
+ONSET_STEPS = (  # s, of the search for an onset, with a fit of the numbers after each row: a jump of an
+    (0.25, 0.1, 0.04),  # encoder is seen to the sample, and dated wrongly explains nothing
+    (0.015, 0.006, 0.002),
+)
 
 Progress = Callable[[float, str], None]
 
@@ -247,8 +249,8 @@ def date_onset(result: Fit) -> Fit:
         return result
     workspace = result.workspace
     always = fit(workspace, [*result.effects[:-1], replace(added, since=None)])
-    for step in ONSET_STEPS:
-        moved = _moved_onset(result, step)
+    for steps in ONSET_STEPS:
+        moved = _moved_onset(result, steps)
         if moved != result.effects[-1].since:
             trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
             if trial.energy < result.energy:
@@ -258,8 +260,9 @@ def date_onset(result: Fit) -> Fit:
     )
 
 
-def _moved_onset(result: Fit, step: float) -> float:
-    """Where, in steps from its onset, the last effect of a set would have set in best, all numbers held."""
+def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
+    """Where, in ever smaller steps from its onset, the last effect of a set would have set in best, all
+    numbers held."""
     workspace, added = result.workspace, result.effects[-1]
 
     def energy(since: float) -> float:
@@ -268,9 +271,11 @@ def _moved_onset(result: Fit, step: float) -> float:
         return workspace.energy(workspace.residual([*result.effects[:-1], replace(added, since=since)]))
 
     best = float(added.since or 0.0)
-    least, start = energy(best), best
-    for sign in (-1.0, 1.0):
-        if best == start:  # it is on one side
-            while (there := energy(best + sign * step)) < least:
-                least, best = there, best + sign * step
+    least = energy(best)
+    for step in steps:
+        start = best
+        for sign in (-1.0, 1.0):
+            if best == start:  # it is on one side
+                while (there := energy(best + sign * step)) < least:
+                    least, best = there, best + sign * step
     return best

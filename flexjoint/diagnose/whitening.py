@@ -204,7 +204,7 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
     robot, readings, rigid = balances.motion.robot, balances.motion.readings, balances.motion.rigid
     n, used = len(robot.joints), readings.valid
     inertias = rigid.mass + _added_mass(balances, effects)
-    by_q, by_v, mass = (x[used].mean(axis=0) for x in (rigid.by_q, rigid.by_v, inertias))
+    by_q, by_v, mass = (x[used].mean(axis=0, dtype=float) for x in (rigid.by_q, rigid.by_v, inertias))
     q, theta, tau_t = (k * n + np.arange(n) for k in range(3))
     noise = np.stack([readings.noise[name] for name in ("q", "theta", "tau_t", "torque")]).ravel()
     largest = max(float(np.max(noise[: 2 * n])), 1e-7)
