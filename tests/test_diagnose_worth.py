@@ -14,7 +14,7 @@ from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.reliability import LEAST, left_by, reliability
 from flexjoint.diagnose.selection import date_onset
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.diagnose.worth import contradicted, explained
+from flexjoint.diagnose.worth import at_own_level, contradicted, explained
 from flexjoint.effect import Planned, plan
 
 CAUSES = (
@@ -81,14 +81,17 @@ def test_a_name_is_believed_by_what_it_leaves() -> None:
     case = Case("turret_exact", "rich", 3)
     true = fitted(case, friction, assumed=(plan("motor_coulomb_friction", "turn", {"level": 0.4}),))
     other = fit(true.workspace, [plan("motor_viscous_friction", "turn", {"coefficient": 0.4})])
-    left = [left_by(one, 0) for one in (true, other)]
+    nothing = at_own_level(fit(true.workspace, []))
+    (left, share), (other_left, other_share) = (left_by(one, nothing, 0) for one in (true, other))
 
-    assert left[0] < 30.0
-    assert left[1] > 1000.0
-    assert reliability(true, left[0]) > 0.5
-    assert reliability(other, left[1]) == LEAST
+    assert left < 30.0
+    assert other_left > 1000.0
+    assert share < 1e-3 < other_share
+    assert reliability(true, left, share) > 0.5
+    assert reliability(other, other_left, other_share) == LEAST
+    assert LEAST < reliability(other, other_left, share) < 0.5  # so thorough a cause stays a cause
     strained = replace(true, workspace=true.workspace.at(true.workspace.temper, 2.0))
-    assert reliability(strained, left[0]) < reliability(true, left[0])
+    assert reliability(strained, left, share) < reliability(true, left, share)
 
 
 def test_an_onset_is_found_in_a_few_fits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,3 +111,67 @@ def test_an_onset_is_found_in_a_few_fits(monkeypatch: pytest.MonkeyPatch) -> Non
 
     assert dated.effects[0].since == pytest.approx(5.9, abs=0.05)
     assert count <= 1 + len(selection.ONSET_STEPS)
+
+
+def test_a_jump_of_an_encoder_is_dated_before_it_is_compared() -> None:
+    """A preload dated half a block away explains as much of what is left as the jump dated there; only at
+    its own instant the jump explains what the motor's acceleration shows."""
+    jump = Planted("motor_encoder_offset", "turn", {"offset": 0.01}, since=6.18)
+    result = found_in(Case("turret", "rich", 3, inexact=0.02), jump)
+
+    assert [(f.effect, f.joint) for f in result.findings] == [("motor_encoder_offset", "turn")], summary(
+        result
+    )
+    assert result.findings[0].since == pytest.approx(6.18, abs=0.01)
+
+
+def test_a_gain_that_a_nominal_stiffness_hides_is_no_contradiction() -> None:
+    """Where a torque sensor reads 3 % too much and the spring is 3 % stiffer than the model, the sensor's
+    balance looks right until the gain is named, and then with the stiffness that the others ask for."""
+    gain, stiffer = (
+        Planted("torque_sensor_gain", "turn", {"gain": 0.03}),
+        Planted("spring_stiffness", "turn", {"scale": 0.03}),
+    )
+    named = plan("torque_sensor_gain", "turn", {"gain": 0.03})
+    right = fitted(Case("turret", "rich", 3), gain, stiffer, assumed=(named,))
+
+    assert not contradicted(right, fit(right.workspace, []))
+
+
+def test_states_see_no_noise() -> None:
+    """A hysteresis's state takes the magnitude of the deflection's speed: with its noise the state decays."""
+    loop = {"level": 0.4, "scale": 0.0035}
+    effect = plan("spring_hysteresis", "turn", loop)
+    left = []
+    for with_twin in (True, False):
+        workspace = fitted(
+            Case("turret_exact", "rich", 5), Planted("spring_hysteresis", "turn", loop), assumed=()
+        ).workspace
+        if not with_twin:
+            workspace.balances.chains.calm = None
+        left.append(workspace.energy(workspace.residual([effect])))
+
+    assert left[0] < 0.4 * left[1]
+
+
+def test_a_law_that_swaps_in_must_stay_better_at_its_own_level() -> None:
+    """Beside a hysteresis, Coulomb friction must not give way to a Stribeck bump that shrinks once it is
+    judged by what it leaves."""
+    causes = (
+        Planted("spring_hysteresis", "turn", {"level": 0.4, "scale": 0.0035}),
+        Planted("motor_coulomb_friction", "turn", {"level": 0.4}),
+    )
+    result = found_in(Case("turret", "rich", 3, inexact=0.02), *causes)
+
+    assert {f.effect for f in result.findings} == {c.effect for c in causes}, summary(result)
+
+
+def test_two_levels_are_told_apart_by_the_simulation() -> None:
+    """With unknown encoder offsets the balances tell the mean of two friction levels only; the simulation
+    tells both, and a law is as fine as its refined numbers are known."""
+    levels = {"level_positive": 0.41, "level_negative": 0.205}
+    two = found_in(Case("turret", "rich", 3), Planted("asymmetric_friction", "turn", levels))
+    one = found_in(Case("turret", "rich", 3), Planted("motor_coulomb_friction", "turn", {"level": 0.3}))
+
+    assert [f.effect for f in two.findings] == ["asymmetric_friction"], summary(two)
+    assert [f.effect for f in one.findings] == ["motor_coulomb_friction"], summary(one)

@@ -17,11 +17,13 @@ from scipy.ndimage import map_coordinates
 from flexjoint.diagnose.dry_friction import REST_SPEED, DryFriction
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.recent import Recent
+from flexjoint.diagnose.signals import wiener
 from flexjoint.diagnose.states import state_along
 from flexjoint.effect import Drive, Planned, Signals, Site
 
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
 REMEMBERED = 2e7  # bytes of chains
+DRIVING = ("q", "dq", "theta", "dtheta", "phi", "dphi")  # signals that states may see
 
 
 @dataclass(frozen=True)
@@ -306,23 +308,13 @@ class Chains:
         return state_along(e, quiet, self.period, int(np.argmax(self.motion.readings.valid)))
 
     def _without_noise(self, e: Planned, signals: Signals) -> Signals:
-        """A copy of the signals of an effect's joint without their sensors' noise, as far as the twin tells:
-        a state's law takes the magnitude of a speed, and a mean of noise does not vanish there."""
+        """A copy of the signals of an effect's joint without their sensors' noise: a state's law takes the
+        magnitude of a speed, and a mean of noise does not vanish there."""
         if self.calm is None or e.joint is None:
             return replace(signals)
-        i = self.motion.robot.joint_names.index(e.joint)
-        here, there = self.base(i), self.calm.base(i)
-        q, theta = here.q - there.q, here.theta - there.theta
-        dq, dtheta = here.dq - there.dq, here.dtheta - there.dtheta
-        return replace(
-            signals,
-            q=signals.q - q,
-            theta=signals.theta - theta,
-            phi=signals.phi - (theta - q),
-            dq=signals.dq - dq,
-            dtheta=signals.dtheta - dtheta,
-            dphi=signals.dphi - (dtheta - dq),
-        )
+        noise = self.base(self.motion.robot.joint_names.index(e.joint)).noise
+        less = {name: getattr(signals, name) - getattr(noise, name) for name in DRIVING}
+        return replace(signals, **less)
 
     def _since(self, e: Planned, with_effect: np.ndarray, without: np.ndarray) -> np.ndarray:
         return with_effect if e.since is None else np.where(self.t >= e.since, with_effect, without)
@@ -341,6 +333,7 @@ class Base:
         window, readings = motion.filter, motion.readings
         self.q, self.theta, self.tau_t = motion.q[i], motion.theta[i], readings.tau_t[i]
         self._window, self._drive = window, motion.robot.joints[i].drive
+        self._readings, self._joint = readings, i
         self.driven = bool(np.isfinite(readings.torque[i, 0]))
         self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
         self.torque_hat = window.spectrum(self.torque) * window.gain
@@ -364,6 +357,18 @@ class Base:
         """Spectrum of what the nominal motor needs for its own motion."""
         s = 1j * self._window.omega
         return np.asarray((self._drive.B * s**2 + self._drive.D_m * s) * self.theta_hat)
+
+    @cached_property
+    def noise(self) -> Signals:
+        """What a Wiener filter takes for noise in q, theta and phi, each by itself (what differs between two
+        filters would be a deflection), and in their rates."""
+        readings, smooth = self._readings, self._window.smooth
+        size = {name: float(readings.noise[name][self._joint]) for name in ("q", "theta")}
+        size["phi"] = float(np.hypot(size["q"], size["theta"]))
+        signals = {"q": self.q, "theta": self.theta, "phi": self.theta - self.q}
+        noise = {name: x - wiener(x, size[name], readings.period) for name, x in signals.items()}
+        rates = {f"d{name}": smooth(x, 1) for name, x in noise.items()}
+        return Signals(**noise, **rates)
 
     @cached_property
     def dq(self) -> np.ndarray:

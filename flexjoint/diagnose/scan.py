@@ -50,8 +50,8 @@ class Scored:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A trace, with its columns not yet whitened: that is quickly done, and they are smaller. They are held in
-    single precision, for their number."""
+    """A trace, with its columns not yet whitened: that is quickly done, and they are smaller. Held in single
+    precision, for their number."""
 
     trace: Trace  # without columns
     bands: tuple[Band, ...]

@@ -165,7 +165,7 @@ def denoised(readings: Readings) -> Readings:
         signals = getattr(readings, name).copy()
         for i, x in enumerate(signals):
             if np.isfinite(x[0]):
-                signals[i] = _wiener(x, readings.noise[name][i], readings.period)
+                signals[i] = wiener(x, readings.noise[name][i], readings.period)
         clean[name] = signals
     return replace(readings, **clean)
 
@@ -181,7 +181,8 @@ def kept_share(x: np.ndarray, noise: float, period: float) -> tuple[np.ndarray, 
     return frequency, share
 
 
-def _wiener(x: np.ndarray, noise: float, period: float) -> np.ndarray:
+def wiener(x: np.ndarray, noise: float, period: float) -> np.ndarray:
+    """(N,) a signal with each frequency kept to the share of its power that is not the predicted noise."""
     frequency, share = kept_share(x, noise, period)
     # both ends are continued by odd reflection, so that value and slope go on smoothly
     reach = min(x.size - 1, 2 * WELCH_SEGMENT)
