@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnose.deviations import held, judged_energy, settled
+from flexjoint.diagnose.nuisance import entangles
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Param, Planned
 
@@ -76,7 +77,7 @@ def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) 
         energy = judged_energy(workspace, y, effects)
         return Fit(workspace, tuple(effects), energy, y, np.zeros((0, y.size)), slots)
     current, y, jacobian = _descend(workspace, list(effects), slots, iterations)
-    if any(e.effect.overrides("level") for e in effects):  # where it rests depends on its size
+    if any(entangles(e) for e in effects):  # where a friction rests, how far a spring is turned, by its size
         workspace = workspace.about(current)
         current, y, jacobian = _descend(workspace, current, slots, iterations)
     energy = judged_energy(workspace, y, current) + _prior(slots, current)

@@ -185,16 +185,15 @@ class Columns:
             self.nuisance.append(Nuisance("link_encoder_offset", joint.name, OFFSET_SPREAD))
         return columns
 
-    def rubbing(self, effects: Sequence[Planned]) -> dict[str, list[Planned]]:
-        """Joints on which dry friction is at work, with all effects of their own."""
-        joints = dict.fromkeys(e.joint for e in effects if e.joint and e.effect.overrides("level"))
+    def entangled(self, effects: Sequence[Planned]) -> dict[str, list[Planned]]:
+        """Joints with effects that change what an actuator's numbers do, with all effects of their own."""
+        joints = dict.fromkeys(e.joint for e in effects if e.joint and entangles(e))
         return {j: [e for e in effects if e.joint == j and e.effect.site is not Site.BODY] for j in joints}
 
-    def beside_friction(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
-        """Columns (by their number's index) of actuators on whose joints dry friction is at work: a body at
-        rest is held against whatever its spring pulls, so that there a stiffness leaves no trace."""
+    def beside(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
+        """Columns (by their number's index) of actuators whose numbers do something else beside effects."""
         out: dict[int, np.ndarray] = {}
-        for joint, own in self.rubbing(effects).items():
+        for joint, own in self.entangled(effects).items():
             for k, number in enumerate(self.nuisance):
                 if number.joint == joint and number.name in NUMBERS:
                     off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: number.spread}
@@ -229,6 +228,17 @@ class Columns:
 
     def _spectrum(self, x: np.ndarray) -> np.ndarray:
         return self.balances.filter.spectrum(x) * self.balances.filter.gain
+
+
+def entangles(e: Planned) -> bool:
+    """Whether an effect changes what a small change of its joint's actuator does: a body that dry friction
+    holds at rest is held against whatever its spring pulls, and a stiffness acts on the deflection that an
+    offset of an encoder, or a gap, leaves."""
+    return (
+        e.effect.overrides("level")
+        or e.effect.overrides("edit_drive")
+        or e.effect.site in (Site.DEFLECTION, Site.SENSOR)
+    )
 
 
 def inertial_directions(nominal: np.ndarray, tolerance: float) -> list[np.ndarray]:

@@ -28,12 +28,12 @@ PLAUSIBLE = 2.5  # prior deviations up to which a nominal number may be off befo
 TEMPER_ROUNDS = 12
 TELLING = 100.0  # energy that must remain, for a cause to be able to earn its price
 FEWEST = 100  # independent samples that a recording is credited with at least
-REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that friction moves
+REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that effects move
 
 
 @dataclass(frozen=True)
 class Moves:
-    """By how much dry friction changes the columns of some nominal numbers, and all products then."""
+    """By how much effects change the columns of some nominal numbers, and all products then."""
 
     numbers: np.ndarray  # (m,) indices
     change: np.ndarray  # (m, samples)
@@ -64,7 +64,7 @@ class Workspace:
         self._moves: Recent[Moves] = Recent()
         self._columns = Columns(balances.quiet, self.whitening)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
-        self._rubbing: tuple[Planned, ...] = ()  # effects of joints on which dry friction is at work
+        self._entangled: tuple[Planned, ...] = ()  # effects beside which actuators' numbers do something else
         self.temper = np.ones(len(rows))
         self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
         self.used = np.ones(self.time.size)
@@ -74,8 +74,8 @@ class Workspace:
     @property
     def J(self) -> np.ndarray:
         """(numbers, samples) whitened columns of the nominal numbers, one prior deviation each. By far the
-        largest array there is, and a copy where friction moves some: see `pull`, `across` and `along`."""
-        if not self._rubbing:
+        largest array there is, and a copy where effects move some: see `pull`, `across` and `along`."""
+        if not self._entangled:
             return self._plain
         out = self._plain.copy()
         out[self.moves.numbers] += self.moves.change
@@ -83,9 +83,9 @@ class Workspace:
 
     @property
     def moves(self) -> Moves:
-        """What dry friction changes of the nominal numbers' columns. Not kept with each of many fits, as it
+        """What effects change of the nominal numbers' columns. Not kept with each of many fits, as it
         is large and seldom asked for again: made anew where it is not remembered."""
-        effects = self._rubbing
+        effects = self._entangled
         key = tuple(identity(e) for e in effects)
         return self._moves.get(key, lambda: self._moves_by(effects), REMEMBERED)
 
@@ -138,17 +138,17 @@ class Workspace:
 
     def about(self, effects: Sequence[Planned]) -> Workspace:
         """The same workspace with the nominal numbers' columns taken where these effects, beyond the nominal
-        model's, are at work: what dry friction holds at rest follows the springs."""
-        rubbing = self._columns.rubbing(self.with_nominal(effects))
-        if not rubbing and not self._rubbing:
+        model's, are at work (`nuisance.entangles`)."""
+        entangled = self._columns.entangled(self.with_nominal(effects))
+        if not entangled and not self._entangled:
             return self
         other = copy.copy(self)
-        other._rubbing = tuple(e for own in rubbing.values() for e in own)
+        other._entangled = tuple(e for own in entangled.values() for e in own)
         other._weigh()
         return other
 
     def _moves_by(self, effects: Sequence[Planned]) -> Moves:
-        changed = self._columns.beside_friction(effects)
+        changed = self._columns.beside(effects)
         numbers = np.array(list(changed), dtype=int)
         columns = np.array(list(changed.values())).reshape(len(changed), self.samples)
         change = columns - self._plain[numbers]
@@ -274,7 +274,7 @@ class Workspace:
 
     def across_part(self, a: np.ndarray, row: int, part: slice) -> np.ndarray:
         """(k, numbers) the same of one balance's part of the record, a (k, size of the part), without what
-        friction moves."""
+        effects move."""
         plain = self._plain.reshape(len(self._plain), len(self.balances.rows), self.time.size)
         return np.asarray(a @ plain[:, row, part].T)
 

@@ -16,8 +16,8 @@ from flexjoint.diagnose.nuisance import NUMBERS
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Planned
 
-# energy that an effect of one number must earn, 4 deviations: some hundred candidates are tried, and in a
-# hundred healthy recordings chance may favour one of them
+# energy that an effect of one number must earn on one joint, 4 deviations: some hundred candidates are tried,
+# and in a hundred healthy recordings chance may favour one of them
 PRICE = 16.0
 PRICE_NUMBER = 12.0  # and for each further number, or an onset: more than chance gives, less than a law
 METHOD_ERROR = (
@@ -34,7 +34,7 @@ CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fit
 CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
 CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
 AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
-BOUNDLESS = 30.0  # times a joint's RMS torque, beyond which a law's own torque is no torque of it
+BOUNDLESS = 30.0  # times a joint's RMS torque, or what a law shows, beyond which its own torque is none of it
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 LEVEL_ROUNDS = 5
 
@@ -46,8 +46,10 @@ def price(effects: Sequence[Planned]) -> float:
 
 def score(result: Fit) -> float:
     """What is compared: energy plus price."""
-    blind = BLIND * len(result.effects) if result.workspace.motion.missing else 0.0
-    return result.energy + price(result.effects) + blind
+    blind = BLIND if result.workspace.motion.missing else 0.0
+    # of so many more candidates, chance favours one by so much more
+    chance = 2.0 * float(np.log(len(result.workspace.robot.joints)))
+    return result.energy + price(result.effects) + (blind + chance) * len(result.effects)
 
 
 def leftover(result: Fit) -> float:
@@ -68,14 +70,18 @@ def at_own_level(result: Fit) -> Fit:
 
 def degenerate(workspace: Workspace, planned: Planned) -> bool:
     """Whether a law has shrunk to none, or to a simpler one (a shape parameter at its bound), or names a
-    torque that its joint cannot have shown (a bump of friction below the speeds that the data resolve)."""
+    torque far beyond what its joint has and what it shows itself (a bump of friction below the speeds that
+    the data resolve)."""
     sizes = [(planned.values[p.name], p.null) for p in planned.effect.nulls]
     if all(np.all(np.ravel(size) == null) for size, null in sizes):
         return True
     if planned.joint is not None:
-        most = BOUNDLESS * workspace.torque_scale[workspace.robot.joint_names.index(planned.joint)]
-        torques = [planned.values[p.name] for p in planned.effect.nulls if p.unit == "N m" and p.null == 0.0]
-        if any(np.any(np.abs(torque) > most) for torque in torques):
+        named = [planned.values[p.name] for p in planned.effect.nulls if p.unit == "N m" and p.null == 0.0]
+        largest = max((float(np.max(np.abs(torque))) for torque in named), default=0.0)
+        scale = float(workspace.torque_scale[workspace.robot.joint_names.index(planned.joint)])
+        if largest > BOUNDLESS * scale or (
+            largest > scale and largest > BOUNDLESS * shown(workspace, planned)
+        ):
             return True
     shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
     return any(
@@ -83,9 +89,20 @@ def degenerate(workspace: Workspace, planned: Planned) -> bool:
     )
 
 
+def shown(workspace: Workspace, planned: Planned) -> float:
+    """[N m] the largest torque that an effect makes of any balance."""
+    balances, used = workspace.balances, workspace.readings.valid
+    base = workspace.with_nominal([])
+    change = balances.changed(base, workspace.with_nominal([planned]))
+    torques = [np.max(np.abs(balances.time_series(spectrum)[used])) for spectrum in change.values()]
+    return float(max(torques, default=0.0))
+
+
 def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error."""
     if degenerate(trial.workspace, added) or score(trial) >= score(without):
+        return False
+    if shared_by_tolerances(trial, without, added):
         return False
     earned, left = explained(trial, without, added), leftover(trial)
     if earned - (price(trial.effects) - price(without.effects)) < LEFTOVER * left:
@@ -184,6 +201,15 @@ def tolerated(workspace: Workspace, added: Planned) -> bool:
     number, (param,) = workspace.nuisance[k], added.effect.nulls
     damping = workspace.robot.joint(str(number.joint)).drive.D_m if number.name == "motor_damping" else 1.0
     return bool(abs(added.values[param.name]) <= TOLERATED * number.spread * damping)
+
+
+def shared_by_tolerances(trial: Fit, without: Fit, added: Planned) -> bool:
+    """Whether an effect is the change of a nominal number that need not be off by more than its tolerance
+    claims, as others are off, too. Where more than noise is left, deviations say less than they are."""
+    k = own_number(trial.workspace, added)
+    if k is None or np.max(trial.workspace.temper) >= COMPLETE:
+        return False
+    return bool(abs(trial.workspace.deviations(without.y)[k]) <= TOLERATED)
 
 
 def own_number(workspace: Workspace, added: Planned) -> int | None:
