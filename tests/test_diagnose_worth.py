@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from diagnose_cases import Case, as_recording, found_in, nominal, summary
 from planting import Planted
@@ -14,7 +15,7 @@ from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.reliability import LEAST, left_by, reliability
 from flexjoint.diagnose.selection import date_onset
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.diagnose.worth import at_own_level, contradicted, explained
+from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, explained, score
 from flexjoint.effect import Planned, plan
 
 CAUSES = (
@@ -175,3 +176,46 @@ def test_two_levels_are_told_apart_by_the_simulation() -> None:
 
     assert [f.effect for f in two.findings] == ["asymmetric_friction"], summary(two)
     assert [f.effect for f in one.findings] == ["motor_coulomb_friction"], summary(one)
+
+
+@pytest.mark.parametrize(
+    "causes",
+    [
+        (Planted("backlash", "swing", {"gap": 0.01}),),
+        (
+            Planted("motor_encoder_offset", "swing", {"offset": -0.0143}),
+            Planted("motor_viscous_friction", "swing", {"coefficient": 4.41}),
+        ),
+    ],
+    ids=lambda causes: causes[0].effect,
+)
+def test_a_stiffness_acts_on_the_deflection_that_an_effect_leaves(causes: tuple[Planted, ...]) -> None:
+    """A spring 4 % off turns by what a gap or an encoder's offset leaves of the reading, not by all of it:
+    beside the true effects, the nominal numbers explain the rest down to the noise."""
+    stiffer = Planted("spring_stiffness", "swing", {"scale": 0.04})
+    assumed = tuple(plan(c.effect, str(c.joint), dict(c.parameters)) for c in causes)
+    right = fitted(Case("lever", "rich", 3), *causes, stiffer, assumed=assumed)
+
+    assert right.energy < 1.2 * right.workspace.noise_energy
+
+
+def test_a_law_names_no_torque_that_it_does_not_show() -> None:
+    """A bump of friction below the speeds that the data resolve may have any height."""
+    still = fitted(Case("turret", "rich", 3), assumed=()).workspace
+    bump = plan("stribeck_friction", "turn", {"level": 0.0, "static_extra": 10.0, "velocity": 0.0014})
+    friction = plan("stribeck_friction", "turn", {"level": 0.3, "static_extra": 0.2, "velocity": 0.1})
+
+    assert degenerate(still, bump)
+    assert not degenerate(still, friction)
+
+
+def test_chance_grows_with_the_joints() -> None:
+    """The same energy says less where more candidates were tried."""
+    one, three = (fitted(Case(name, "rich", 3), assumed=()) for name in ("lever", "gimbal"))
+    effect = {"lever": ("swing", one), "gimbal": ("tilt", three)}
+    dearer = []
+    for joint, bare in effect.values():
+        named = replace(bare, effects=(plan("motor_coulomb_friction", joint, {"level": 0.1}),))
+        dearer.append(score(named) - score(bare))
+
+    assert dearer[1] == pytest.approx(dearer[0] + 2.0 * np.log(3.0))
