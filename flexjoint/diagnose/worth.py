@@ -23,7 +23,8 @@ PRICE_NUMBER = 12.0  # and for each further number, or an onset: more than chanc
 METHOD_ERROR = (
     1e-3  # share of what a joint's other causes explain, which filters and friction zones may leave
 )
-FINER_ERROR = 1e-4  # the same, where the cause leaves less than a tenth of what it explains
+FINER_ERROR = 1e-4  # the same, where the cause leaves less than a tenth of what it explains, and every
+# position was measured
 BLIND = 24.0  # more where a position is made of the nominal model, which is known to first order only
 LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
 CLEARED = 10.0  # factor in variance by which a set must leave less, to be judged at the level that it leaves
@@ -112,7 +113,8 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
         # what other causes on the joint explain is known only to the method's own error, which has a shape
         # of its own: what leaves next to nothing is not that
         alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
-        share = METHOD_ERROR if earned < CLEARED * left else FINER_ERROR
+        cleared = earned >= CLEARED * left and not trial.workspace.motion.missing
+        share = FINER_ERROR if cleared else METHOD_ERROR
         if earned < share * (alone.energy - trial.energy):
             return False
     if contradicted(trial, without):
