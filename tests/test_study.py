@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from planting import CATALOGUE
+from diagnose_cases import Case, as_recording, nominal
+from planting import CATALOGUE, Planted
 from study import run as study_run
 from study import summary
 from study.cases import COUNTS, SENSORS, make
 from study.page import markdown, misses
-from study.run import Range, diagnosed, ranges, records, write_range
-from study.score import detectable, outcome, struck_outcome
+from study.run import Range, diagnosed, least_excess, ranges, records, write_range
+from study.score import detectable, each_detectable, outcome, struck_outcome
 from study.summary import Rate
 
 # a fixed sample of the cases of `make study`: what every change must keep
@@ -83,6 +84,21 @@ def test_equivalents_are_no_wrong_names() -> None:
     case = {**record(finding("link_encoder_offset")), "truth": [twist]}
     assert struck_outcome(case) == "equivalent"
     assert outcome(case) == "partial"  # with the true effect in the catalogue it had to be listed
+
+
+def test_a_double_is_there_to_be_named_when_both_causes_are() -> None:
+    """A damping within its tolerance, beside a friction, leaves nothing of its own to find."""
+    friction = Planted("motor_coulomb_friction", "turn", {"level": 0.4})
+    case = Case("turret", "rich", 3)
+    least = []
+    for other in ({"scale": 0.01}, {"scale": 3.0}):
+        causes = (friction, Planted("spring_damping", "turn", other))
+        recording = as_recording(case.with_causes(*causes))
+        least.append(least_excess(nominal(case.robot), recording, causes))
+
+    assert least[0] == pytest.approx(1.0, abs=0.01)
+    assert not each_detectable({"least_excess": least[0]})
+    assert each_detectable({"least_excess": least[1]})
 
 
 # --- counting ---------------------------------------------------------------------------------------------

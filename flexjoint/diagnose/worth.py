@@ -25,6 +25,8 @@ METHOD_ERROR = (
 )
 FINER_ERROR = 1e-4  # the same, where the cause leaves less than a tenth of what it explains, and every
 # position was measured
+LEAST_ERROR = 1e-5  # the same, where a loud cause leaves nothing but noise, which what filters leave is not
+PERFECT = 1000.0  # times the energy that is still left, that it must explain then
 BLIND = 24.0  # more where a position is made of the nominal model, which is known to first order only
 LEFTOVER = 0.05  # share of the unexplained energy that a cause, or a finer one, must at least explain
 CLEARED = 10.0  # factor in variance by which a set must leave less, to be judged at the level that it leaves
@@ -113,13 +115,20 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
         # what other causes on the joint explain is known only to the method's own error, which has a shape
         # of its own: what leaves next to nothing is not that
         alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
-        cleared = earned >= CLEARED * left and not trial.workspace.motion.missing
-        share = FINER_ERROR if cleared else METHOD_ERROR
-        if earned < share * (alone.energy - trial.energy):
+        if earned < _method_error(trial, earned) * (alone.energy - trial.energy):
             return False
     if contradicted(trial, without):
         return False
     return told_by_motion(trial, earned, added) and material(trial, added, earned)
+
+
+def _method_error(trial: Fit, earned: float) -> float:
+    """Share of what other causes on its joint explain, that a cause must explain beyond it."""
+    left = leftover(trial)
+    if trial.workspace.motion.missing or earned < CLEARED * left:
+        return METHOD_ERROR
+    noise_alone = bool(np.all(trial.workspace.temper < COMPLETE))
+    return LEAST_ERROR if noise_alone and earned >= CERTAIN_LOUD + PERFECT * left else FINER_ERROR
 
 
 def contradicted(trial: Fit, without: Fit) -> bool:

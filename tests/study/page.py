@@ -12,7 +12,17 @@ import numpy as np
 
 from . import summary
 from .cases import COUNTS
-from .score import DETECTABLE, OUTCOMES, STRUCK_OUTCOMES, Record, detectable, instead, outcome, struck_outcome
+from .score import (
+    DETECTABLE,
+    OUTCOMES,
+    STRUCK_OUTCOMES,
+    Record,
+    detectable,
+    each_detectable,
+    instead,
+    outcome,
+    struck_outcome,
+)
 from .summary import Rate
 
 NEAR = 1.2  # times the error that no model comes below: the goal on fresh data
@@ -91,6 +101,10 @@ def _headline(records: Sequence[Record]) -> str:
             what = f"{part} causes with excess above {DETECTABLE}"
             rows.append((f"{what}: exact", _rate(summary.rate(seen, lambda r: outcome(r) == "exact")), ""))
             rows.append((f"{what}: exact or tied", _rate(summary.rate(seen, summary.named)), goal))
+    seen = [r for r in summary.of(records, "double") if each_detectable(r)]
+    if seen:
+        what = f"double causes, each with excess above {DETECTABLE} beside the other: exact or tied"
+        rows.append((what, _rate(summary.rate(seen, summary.named)), "90 %"))
     healthy = summary.of(records, "healthy")
     if healthy:
         rows.append(("healthy machines alarmed", _rate(summary.rate(healthy, summary.alarmed)), "1 %"))

@@ -28,6 +28,7 @@ from flexjoint import robot
 from flexjoint.compare import compare
 from flexjoint.diagnose import diagnose, extended_model
 from flexjoint.diagnose.balances import balances_of
+from flexjoint.diagnose.fit import fit
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Diagnosis, Fitted
 from flexjoint.effect import catalogue, plan
@@ -102,6 +103,8 @@ def diagnosed(case: StudyCase) -> dict[str, Any]:
     record["joints"] = len(nominal.joints)
     record["planting"] = round(time.perf_counter() - started, 3)
     record["excess"] = excess(nominal, recording)
+    if case.part == "double":
+        record["least_excess"] = least_excess(nominal, recording, case.case.effects)
     started = time.perf_counter()
     try:
         found = diagnose(
@@ -145,6 +148,19 @@ def excess(nominal: Robot, recording: Recording) -> float | None:
         return None
     workspace = Workspace(balances)
     return round(workspace.energy(workspace.residual([])) / workspace.noise_energy, 5)
+
+
+def least_excess(nominal: Robot, recording: Recording, causes: Sequence[Planted]) -> float | None:
+    """Energy per sample that each of the planted causes explains beside the others and the tolerances, above
+    1: the least of them. A cause may be lost in its own tolerance, or in noise, beside a large one."""
+    balances = balances_of(nominal, recording)
+    if not balances.rows:
+        return None
+    workspace = Workspace(balances)
+    true = [plan(c.effect, c.joint, c.parameters, since=c.since) for c in causes]
+    whole = fit(workspace, true).energy
+    gains = [fit(workspace, [e for e in true if e is not one]).energy - whole for one in true]
+    return round(1.0 + min(gains) / workspace.noise_energy, 5)
 
 
 def _on_fresh_data(

@@ -151,6 +151,11 @@ def detectable(record: Record) -> bool:
     return record["excess"] is not None and record["excess"] > DETECTABLE
 
 
+def each_detectable(record: Record) -> bool:
+    """Whether each of two causes is there to be named beside the other."""
+    return (record.get("least_excess") or 0.0) > DETECTABLE
+
+
 STRUCK_OUTCOMES = ("unexplained", "equivalent", "unsure", "wrong", "healthy", "refused", "failed")
 """unexplained: that verdict, without a confident name; equivalent: only what the struck effect amounts to;
 unsure: names of a probability below SURE only; wrong: a confident wrong name; the rest: that verdict."""
