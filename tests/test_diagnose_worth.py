@@ -11,6 +11,7 @@ from planting import Planted
 
 from flexjoint.diagnose import selection
 from flexjoint.diagnose.balances import balances_of
+from flexjoint.diagnose.deviations import held, judged_energy
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.reliability import LEAST, left_by, reliability
 from flexjoint.diagnose.selection import date_onset
@@ -219,3 +220,15 @@ def test_chance_grows_with_the_joints() -> None:
         dearer.append(score(named) - score(bare))
 
     assert dearer[1] == pytest.approx(dearer[0] + 2.0 * np.log(3.0))
+
+
+def test_numbers_that_no_machine_has_are_no_error() -> None:
+    """Beside a hopelessly wrong set at the noise's level, nominal numbers may be asked for anything."""
+    turret = nominal("turret")
+    floating = replace(turret, file=turret.file.model_copy(update={"offsets": "per_recording"}))
+    recording = as_recording(Case("turret", "rich", 3))
+    workspace = Workspace(balances_of(floating, recording))
+    absurd = 1e4 * np.ones(len(workspace.nuisance))
+
+    assert all(np.isfinite(e.values["offset"]) for e in held(workspace, absurd) if "offset" in e.values)
+    assert np.isfinite(judged_energy(workspace, workspace.along(absurd), []))

@@ -42,9 +42,12 @@ def judged_energy(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned
     far = np.max(workspace.temper) < NOISY and np.max(np.abs(pull), initial=0.0) > FAR_OFF
     if not far and not any(whitening.changes_noise(e) for e in effects):
         return workspace.energy(y)
-    energy = _energy_at(workspace, pull, effects)
-    if np.max(workspace.temper) < NOISY:
-        energy = min(energy, _energy_at(workspace, settled(workspace, effects, y), effects))
+    try:
+        energy = _energy_at(workspace, pull, effects)
+        if np.max(workspace.temper) < NOISY:
+            energy = min(energy, _energy_at(workspace, settled(workspace, effects, y), effects))
+    except np.linalg.LinAlgError:  # beside a wrong cause numbers may be so far off that no machine has them
+        return workspace.energy(y)
     if not any(e.effect.overrides("edit_inertial") for e in workspace.nominal):
         workspace.motion.rigid.regressor.forget(REMEMBERED)  # nobody else asks for it
     return energy

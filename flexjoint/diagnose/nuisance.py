@@ -14,6 +14,7 @@ from flexjoint.effect import Drive, Effect, Param, Planned, Site, plan
 from flexjoint.robot import Robot
 
 OFFSET_SPREAD = 0.2  # rad, standard deviation of an encoder offset that is free in each recording
+TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
 OTHER_COMPONENT = 0.1  # a centre of mass is trusted in its small components to this share of its length
 
 
@@ -76,7 +77,9 @@ def as_effects(
             added[number.joint] = added.get(number.joint, np.zeros(10)) + step
             seen[number.joint] = seen.get(number.joint, 0) + 1
     out = [
-        plan(n.name, n.joint, {"offset": -float(d) * n.spread})  # reading = true + offset
+        plan(
+            n.name, n.joint, {"offset": float(np.clip(-d * n.spread, -TURN, TURN))}
+        )  # reading = true + offset
         for n, d in zip(nuisance, deviations, strict=True)
         if n.name.endswith("_encoder_offset")
     ]
