@@ -226,7 +226,7 @@ def test_numbers_that_no_machine_has_are_no_error() -> None:
     """Beside a hopelessly wrong set at the noise's level, nominal numbers may be asked for anything."""
     turret = nominal("turret")
     floating = replace(turret, file=turret.file.model_copy(update={"offsets": "per_recording"}))
-    recording = as_recording(Case("turret", "rich", 3))
+    recording = as_recording(Case("turret", "rich", 3).with_causes())
     workspace = Workspace(balances_of(floating, recording))
     absurd = 1e4 * np.ones(len(workspace.nuisance))
 
