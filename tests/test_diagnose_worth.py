@@ -94,6 +94,9 @@ def test_a_name_is_believed_by_what_it_leaves() -> None:
     assert LEAST < reliability(other, other_left, share) < 0.5  # so thorough a cause stays a cause
     strained = replace(true, workspace=true.workspace.at(true.workspace.temper, 2.0))
     assert reliability(strained, left, share) < reliability(true, left, share)
+    two, three = (replace(true, effects=count * true.effects) for count in (2, 3))
+    assert reliability(two, left, share) == reliability(true, left, share)
+    assert reliability(three, left, share) < 0.5  # something that has no name is more likely
 
 
 def test_an_onset_is_found_in_a_few_fits(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from flexjoint.diagnose.worth import torque_shares
 CLEAN = 3.2  # log-odds of a name that leaves the noise
 PER_DECADE = 1.8  # less for every factor of ten in variance that is left
 STRAIN = 1.5  # less where nominal numbers are implausible beside it
+CROWD = 3.0  # less for each cause beyond two on its joint: what is in no catalogue is more likely than three
 LEAST = 0.2  # beyond which planted machines tell nothing of real ones, which always leave something
 CLEARING = (
     1e-3  # share of a variance up to which filters and friction zones leave something of any cause, and
@@ -36,10 +37,12 @@ def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
     return float(levels[row]), float(levels[row] / nothing.workspace.temper[row])
 
 
-def reliability(best: Fit, left: float, share: float) -> float:
-    """Probability that a name is right which leaves so much, a share of what was there; LEAST where it need
-    not be the story at all."""
+def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
+    """Probability that the name of effect k of a set is right which leaves so much, a share of what was
+    there; LEAST where it need not be the story at all."""
+    joint = best.effects[k].joint
+    crowd = max(0, sum(e.joint == joint for e in best.effects) - 2)
     strained = STRAIN if best.workspace.strain > 1.0 else 0.0
-    against = PER_DECADE * float(np.log10(max(1.0, left))) + strained - CLEAN
+    against = PER_DECADE * float(np.log10(max(1.0, left))) + strained + CROWD * crowd - CLEAN
     least = CLEARED if share < CLEARING else LEAST
     return max(least, float(1.0 / (1.0 + np.exp(against))))

@@ -138,7 +138,7 @@ def findings(
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
         ties, (left, share) = _ties(best, planned, rivals), left_by(best, selection.nothing, k)
-        believed = reliability(best, left, share)
+        believed = reliability(best, left, share, k)
         out.append(
             Finding(
                 planned.effect.name,
