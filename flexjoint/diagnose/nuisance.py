@@ -236,12 +236,8 @@ class Columns:
 def entangles(e: Planned) -> bool:
     """Whether an effect changes what a small change of its joint's actuator does: a body that dry friction
     holds at rest is held against whatever its spring pulls, and a stiffness acts on the deflection that an
-    offset of an encoder, or a gap, leaves."""
-    return (
-        e.effect.overrides("level")
-        or e.effect.overrides("edit_drive")
-        or e.effect.site in (Site.DEFLECTION, Site.SENSOR)
-    )
+    offset of an encoder, or a gap, leaves. (The change of a number takes its own tolerance along itself.)"""
+    return e.effect.overrides("level") or e.effect.site in (Site.DEFLECTION, Site.SENSOR)
 
 
 def inertial_directions(nominal: np.ndarray, tolerance: float) -> list[np.ndarray]:
