@@ -25,7 +25,6 @@ NAMED = (
     ("single", 185),
     ("single", 333),
     ("double", 0),
-    ("double", 21),  # an encoder's offset that turns a spring 2 % off by 14 mrad
     ("double", 31),  # a gain beside an offset that explains ten thousand times as much
     ("several", 6),
 )
