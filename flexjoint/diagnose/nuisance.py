@@ -76,10 +76,8 @@ def as_effects(
             step = directions[seen.get(number.joint, 0)] * float(deviation)
             added[number.joint] = added.get(number.joint, np.zeros(10)) + step
             seen[number.joint] = seen.get(number.joint, 0) + 1
-    out = [
-        plan(
-            n.name, n.joint, {"offset": float(np.clip(-d * n.spread, -TURN, TURN))}
-        )  # reading = true + offset
+    out = [  # reading = true + offset
+        plan(n.name, n.joint, {"offset": float(np.clip(-d * n.spread, -TURN, TURN))})
         for n, d in zip(nuisance, deviations, strict=True)
         if n.name.endswith("_encoder_offset")
     ]

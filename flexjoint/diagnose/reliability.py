@@ -17,12 +17,12 @@ from flexjoint.diagnose.worth import torque_shares
 CLEAN = 3.2  # log-odds of a name that leaves the noise
 PER_DECADE = 1.8  # less for every factor of ten in variance that is left
 STRAIN = 1.5  # less where nominal numbers are implausible beside it
-CROWD = 3.0  # less for each cause beyond two on its joint: what is in no catalogue is more likely than three
+# less for each cause beyond two on its joint: what is in no catalogue is more likely than three. Not counted:
+# no planted machine has more than two causes
+CROWD = 3.0
 LEAST = 0.2  # beyond which planted machines tell nothing of real ones, which always leave something
-CLEARING = (
-    1e-3  # share of a variance up to which filters and friction zones leave something of any cause, and
-)
-CLEARED = 0.3  # how often at least a name is right that leaves no more
+CLEARING = 1e-3  # share of a variance that filters and friction zones may leave of any cause
+CLEARED = 0.3  # how often at least a name is right that leaves no more than that
 
 
 def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
