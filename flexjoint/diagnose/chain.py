@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 from flexjoint.diagnose.dry_friction import REST_SPEED, DryFriction
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.recent import Recent
-from flexjoint.diagnose.signals import wiener
+from flexjoint.diagnose.signals import reach_of_ends, wiener
 from flexjoint.diagnose.states import state_along
 from flexjoint.effect import Drive, Planned, Signals, Site
 
@@ -305,7 +305,7 @@ class Chains:
             return 0.0
         quiet = self._without_noise(e, signals)
         quiet.phi = self.filter.smooth(quiet.phi)
-        return state_along(e, quiet, self.period, int(np.argmax(self.motion.readings.valid)))
+        return state_along(e, quiet, self.period, reach_of_ends(self.motion.readings))
 
     def _without_noise(self, e: Planned, signals: Signals) -> Signals:
         """A copy of the signals of an effect's joint without their sensors' noise: a state's law takes the

@@ -144,7 +144,7 @@ def choose(fits: Sequence[Fit]) -> Fit:
     bare = best.workspace.energy(best.workspace.residual([]))
     share = FILTERED_BLIND if best.workspace.motion.missing else FILTERED
     close = score(best) + LEFTOVER * leftover(best) + share * max(0.0, bare - best.energy)
-    return min((f for f in fits if score(f) <= close), key=lambda f: (price(f.effects), score(f)))
+    return min((f for f in fits if score(f) <= close), key=lambda f: (price(f.workspace, f.effects), score(f)))
 
 
 def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Fit]:

@@ -149,6 +149,11 @@ def margin(sigma: float) -> float:
     return max(EDGE_SIGMAS * sigma, EDGE_SECONDS)
 
 
+def reach_of_ends(readings: Readings) -> int:
+    """Samples from an end into which the filter mixes what lies beyond it."""
+    return int(np.ceil(PADDED_SIGMAS * readings.sigma / readings.period))
+
+
 def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
     """Drop what lies within the filter's reach of an edge or a gap."""
     reach = int(np.ceil(margin(sigma) / period))

@@ -51,7 +51,7 @@ class _Joint:
 
     @property
     def score(self) -> float:
-        return self.energy + price(self.effects)
+        return self.energy + price(self.fits[0].workspace, self.effects)
 
 
 def combine(selections: Sequence[Selection]) -> Together:
