@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,11 @@ import pytest
 
 from flexjoint import recording
 from flexjoint.compiled import cache
+from flexjoint.diagnose.crew import WORKERS
 from flexjoint.robot import Robot
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # the cores are taken by the tests beside each other
+    os.environ.setdefault(WORKERS, "1")
 
 
 @pytest.fixture

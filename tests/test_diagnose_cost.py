@@ -1,7 +1,8 @@
-"""What makes the diagnosis fast changes nothing: threads, memory, triangular whitening, shared numbers."""
+"""What makes the diagnosis fast changes nothing: processes, memory, triangular whitening, shared numbers."""
 
 from __future__ import annotations
 
+import json
 from functools import cache
 
 import numpy as np
@@ -9,16 +10,18 @@ import pytest
 from diagnose_cases import Case, as_recording, nominal
 from planting import Planted
 
-from flexjoint.diagnose import chain, scan
+from flexjoint.diagnose import chain, diagnose, scan
 from flexjoint.diagnose import workspace as workspaces
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import enumerate_candidates
+from flexjoint.diagnose.crew import crew
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.scan import Scanner
 from flexjoint.diagnose.shared_numbers import SharedNumbers
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.effect import plan
+from flexjoint.diagnosis import to_json
+from flexjoint.effect import catalogue, plan
 
 GAP = Planted("backlash", "elbow", {"gap": 0.009})
 KEPT = ("backlash", "cogging", "link_coulomb_friction", "payload", "base_tilt", "sensor_delay")
@@ -32,13 +35,15 @@ def workspace(seed: int = 41) -> Workspace:
 
 def scanned(workers: int, current: Fit) -> list[tuple[object, ...]]:
     candidates = [c for c in enumerate_candidates(workspace()) if c.effect.name in KEPT]
-    scanner = Scanner(candidates, workers)
-    # twice: the second scan takes what the first remembered
-    found = [*scanner.scan(current), *scanner.scan(current)]
+    scanner = Scanner(candidates)
+    with crew([*workspace().shared(), *catalogue().values(), *candidates, scanner], workers) as processes:
+        assert processes.size == workers
+        # twice: the second scan takes what the first remembered
+        found = [*scanner.scan(current, processes), *scanner.scan(current, processes)]
     return [(s.candidate, s.amplitude.tolist(), s.removes, s.since, s.sight) for s in found]
 
 
-def test_any_number_of_threads_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_number_of_processes_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     current = fit(workspace(), [plan("motor_coulomb_friction", "elbow", {"level": 0.3})])
     alone = scanned(1, current)
     assert scanned(2, current) == alone == scanned(5, current)
@@ -46,6 +51,13 @@ def test_any_number_of_threads_gives_the_same_bits(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(scan, "MEMORY", 0.0)
     monkeypatch.setattr(chain, "REMEMBERED", 0.0)
     assert scanned(2, current) == alone
+
+
+def test_a_search_is_the_same_for_any_number_of_processes() -> None:
+    recording = as_recording(Case("crane", "rich", 41).with_causes(GAP)).between(0.0, 6.0)
+    one, three = (json.dumps(to_json(diagnose(nominal("crane"), [recording], workers=n))) for n in (1, 3))
+    assert one == three
+    assert '"backlash"' in one
 
 
 def test_fits_of_one_set_are_scanned_together_as_alone() -> None:

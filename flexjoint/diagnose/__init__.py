@@ -12,6 +12,7 @@ import numpy as np
 from flexjoint.diagnose import held_out, leftover, verdict
 from flexjoint.diagnose.balances import Balances, balances_of
 from flexjoint.diagnose.candidates import STILL, enumerate_candidates
+from flexjoint.diagnose.crew import workers_of
 from flexjoint.diagnose.experiment import advice
 from flexjoint.diagnose.naming import named
 from flexjoint.diagnose.reliability import LEAST
@@ -41,6 +42,7 @@ def diagnose(
     excluded: frozenset[str] = frozenset(),
     payloads: Sequence[KnownPayload | None] = (),
     refine: bool = True,
+    workers: int | None = None,
 ) -> Diagnosis:
     """Name what the nominal model gets wrong on the recordings; measure the gain on held-out blocks of the
     first, whose residuals and onsets are the ones reported.
@@ -53,14 +55,18 @@ def diagnose(
         payloads: what was added to the robot in each recording and is known (None: nothing); empty: nothing
             in any. It is part of that recording's nominal model; the causes are common to all.
         refine: whether the numbers of the causes are refined on the simulation itself (one recording).
+        workers: processes that share the search, FLEXJOINT_WORKERS or one per core by default; the bits are
+            the same for any number.
 
     Raises:
+        ModelError: fewer than one worker.
         RecordingError: the recording cannot be used with this robot, or not one payload for each.
         UnknownNameError: an excluded name is no effect, or a payload's joint is none of the robot's.
     """
     if not recordings:
         raise RecordingError("no recording given; expected at least one")
     _check_names(excluded)
+    workers = workers_of(workers)
     report: Progress = progress or (lambda _share, _what: None)
     recording, robots = recordings[0], _loaded(robot, recordings, payloads)
     robot = robots[0]
@@ -72,11 +78,11 @@ def diagnose(
     workspace, spread = Workspace(balances), dict[Key, Errors]()
     candidates = enumerate_candidates(workspace, excluded)
     share = 0.92 / len(recordings)
-    selection = select(workspace, candidates, _part(report, 0.0, share))
+    selection = select(workspace, candidates, _part(report, 0.0, share), workers=workers)
     selection, notes = verdict.sure(selection)
     if len(recordings) > 1:
         others = [
-            _searched(robots[k], other, excluded, _part(report, k * share, share))
+            _searched(robots[k], other, excluded, _part(report, k * share, share), workers)
             for k, other in enumerate(recordings[1:], start=1)
         ]
         together = combine([selection, *others])
@@ -143,14 +149,16 @@ def _known(recordings: Sequence[Recording], payloads: Sequence[KnownPayload | No
     )
 
 
-def _searched(robot: Robot, recording: Recording, excluded: frozenset[str], report: Progress) -> Selection:
+def _searched(
+    robot: Robot, recording: Recording, excluded: frozenset[str], report: Progress, workers: int
+) -> Selection:
     """What another recording of the same robot says by itself."""
     balances = balances_of(robot, recording)
     refusal = _refusal(balances)
     if refusal:
         raise RecordingError(f"{recording.name} cannot be diagnosed together with the others: {refusal}")
     workspace = Workspace(balances)
-    selection = select(workspace, enumerate_candidates(workspace, excluded), report)
+    selection = select(workspace, enumerate_candidates(workspace, excluded), report, workers=workers)
     return verdict.sure(selection)[0]
 
 

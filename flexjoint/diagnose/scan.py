@@ -1,22 +1,20 @@
 """First-order score of every candidate on top of a set of effects, with its onset scanned alongside.
 
-Candidates are shared out to threads in parts that do not depend on how many threads there are, and a trace
-depends on nothing but its candidate and the effects of its own joint: the bits are the same for any number.
+Candidates are shared out to processes in parts that do not depend on how many there are, and a trace depends
+on nothing but its candidate and the effects of its own joint: the bits are the same for any number.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from threading import Lock
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnose.candidates import Candidate, Trace, traces
 from flexjoint.diagnose.chain import identity
+from flexjoint.diagnose.crew import Crew
 from flexjoint.diagnose.fit import Fit
 from flexjoint.diagnose.whitening import Band
 from flexjoint.effect import Planned
@@ -25,7 +23,7 @@ BLOCKS = 16  # time blocks at whose edges an onset is tried
 ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferred
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are remembered between scans
-PART = 6  # candidates that a thread takes at a time
+PART = 6  # candidates that are taken at a time
 BATCH = 16  # columns whose products are taken together
 
 
@@ -77,68 +75,71 @@ class _Traced:
     places: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class _Share:
+    """Candidates, by their numbers and in parts, that one of so many processes scans on top of some fits."""
+
+    parts: tuple[tuple[int, ...], ...]
+    currents: tuple[Fit, ...]
+    processes: int
+
+
 class Scanner:
-    """Scans candidates; traces that an added effect does not touch are remembered.
+    """Scans candidates; traces that an added effect does not touch are remembered."""
 
-    Args:
-        workers: threads, default one per core.
-    """
-
-    def __init__(self, candidates: Sequence[Candidate], workers: int | None = None) -> None:
+    def __init__(self, candidates: Sequence[Candidate]) -> None:
         self.candidates = candidates
-        self.workers = workers or _cores()
+        # joint by joint: columns that begin at the same balance make one product
+        joints = list(dict.fromkeys(c.joint for c in candidates))
+        order = sorted(range(len(candidates)), key=lambda k: joints.index(candidates[k].joint))
+        self._parts = [tuple(order[k : k + PART]) for k in range(0, len(order), PART)]
         self._traces: dict[object, list[_Kept]] = {}
         self._bytes = 0
-        self._lock = Lock()
 
-    def scan(self, current: Fit) -> tuple[Scored, ...]:
+    def scan(self, current: Fit, crew: Crew | None = None) -> tuple[Scored, ...]:
         """Best start of every candidate on top of a fitted set, best first."""
-        return self.scans([current])[0]
+        return self.scans([current], crew)[0]
 
-    def scans(self, currents: Sequence[Fit]) -> list[tuple[Scored, ...]]:
-        """The same on top of each of some fits of one set: traces that they share are made once."""
-        against = [_Against(current) for current in currents]
-        taken = {e.key for e in currents[0].effects}
-        # joint by joint: columns that begin at the same balance make one product
-        joints = list(dict.fromkeys(c.joint for c in self.candidates))
-        waiting = [(k, c) for k, c in enumerate(self.candidates) if c.key not in taken]
-        waiting.sort(key=lambda pair: joints.index(pair[1].joint))
-        parts = [waiting[k : k + PART] for k in range(0, len(waiting), PART)]
-
-        def scored(part: Sequence[tuple[int, Candidate]]) -> list[dict[int, Scored]]:
-            return self._scored(part, against)
-
-        if self.workers > 1:
-            with ThreadPoolExecutor(self.workers) as pool:
-                found = list(pool.map(scored, parts))
-        else:
-            found = [scored(part) for part in parts]
+    def scans(self, currents: Sequence[Fit], crew: Crew | None = None) -> list[tuple[Scored, ...]]:
+        """The same on top of each of some fits of one set: traces that they share are made once. A crew that
+        knows the scanner shares the work; each of it remembers what it made."""
+        count = 1 if crew is None else crew.size
+        shares = [_Share(tuple(self._parts[k::count]), tuple(currents), count) for k in range(count)]
+        found = [self.scored(shares[0])] if crew is None else crew.map(self.scored, shares)
         out = []
         for k in range(len(currents)):
-            best = [pair for part in found for pair in part[k].items()]
+            best = [pair for share in found for pair in share[k].items()]
             out.append(tuple(one for _, one in sorted(best, key=lambda pair: (-pair[1].removes, pair[0]))))
         return out
 
-    def _scored(
-        self, part: Sequence[tuple[int, Candidate]], against: Sequence[_Against]
-    ) -> list[dict[int, Scored]]:
-        """The best start of each candidate, by the candidate's number, against each of some fits."""
+    def scored(self, share: _Share) -> list[dict[int, Scored]]:
+        """The best start of each candidate of a share, by its number, against each of some fits."""
+        against = [_Against(current) for current in share.currents]
         best: list[dict[int, Scored]] = [{} for _ in against]
-        for batch in _batches(traced for k, c in part for traced in self._traced(k, c, against)):
-            fixed = against[batch[0].places[0]].fixed(batch)
-            for place in batch[0].places:
-                products = against[place].tails(batch, fixed)
-                for traced, (curvature, force) in zip(batch, products, strict=True):
-                    scored = _score(traced.kept, curvature, force, against[place].starts)
-                    k = traced.candidate
-                    if scored is not None and (
-                        k not in best[place] or scored.removes > best[place][k].removes
-                    ):
-                        best[place][k] = scored
+        taken = {e.key for e in share.currents[0].effects}
+        for part in share.parts:
+            waiting = [k for k in part if self.candidates[k].key not in taken]
+            every = (t for k in waiting for t in self._traced(k, against, share.processes))
+            for batch in _batches(every):
+                self._score_batch(batch, against, best)
         return best
 
-    def _traced(self, k: int, candidate: Candidate, against: Sequence[_Against]) -> Iterator[_Traced]:
-        """The candidate's traces, one per start, for each of some fits."""
+    def _score_batch(
+        self, batch: Sequence[_Traced], against: Sequence[_Against], best: Sequence[dict[int, Scored]]
+    ) -> None:
+        """Enter the best start of each candidate of a batch, by its number, for each fit."""
+        fixed = against[batch[0].places[0]].fixed(batch)
+        for place in batch[0].places:
+            products = against[place].tails(batch, fixed)
+            for traced, (curvature, force) in zip(batch, products, strict=True):
+                scored = _score(traced.kept, curvature, force, against[place].starts)
+                k = traced.candidate
+                if scored is not None and (k not in best[place] or scored.removes > best[place][k].removes):
+                    best[place][k] = scored
+
+    def _traced(self, k: int, against: Sequence[_Against], processes: int) -> Iterator[_Traced]:
+        """The traces of candidate k, one per start, for each of some fits."""
+        candidate = self.candidates[k]
         # a trace depends on the effects of its own joint only (a body's is fitted to the residual)
         alike: dict[object, list[int]] = {}
         for place, one in enumerate(against):
@@ -146,10 +147,12 @@ class Scanner:
             shared = not candidate.effect.overrides("edit_inertial")
             alike.setdefault(own if shared else place, []).append(place)
         for places in alike.values():
-            for kept, columns in self._kept(candidate, against[places[0]]):
+            for kept, columns in self._kept(candidate, against[places[0]], processes):
                 yield _Traced(k, kept, columns, tuple(places))
 
-    def _kept(self, candidate: Candidate, against: _Against) -> Iterator[tuple[_Kept, np.ndarray]]:
+    def _kept(
+        self, candidate: Candidate, against: _Against, processes: int
+    ) -> Iterator[tuple[_Kept, np.ndarray]]:
         current, base = against.current, against.base
         workspace, own = current.workspace, [e for e in base if e.joint == candidate.joint]
         if candidate.effect.overrides("edit_inertial"):
@@ -160,23 +163,19 @@ class Scanner:
             yield from ((kept, kept.columns()) for kept in self._traces[key])
             return
         remembered: list[_Kept] | None = []
-        held = 8 * len(workspace.nuisance) * workspace.samples
+        # beside the tolerances' columns, each process has its share of the memory
+        room = (MEMORY - 8 * len(workspace.nuisance) * workspace.samples) / processes
         for trace in traces(workspace, candidate, own, current.y):
             kept, columns = _kept(trace)
             yield kept, columns
             if remembered is not None:
                 remembered.append(kept)
-                if not self._room(kept.nbytes, held):
-                    self._room(-sum(k.nbytes for k in remembered), held)
+                self._bytes += kept.nbytes
+                if self._bytes > room:
+                    self._bytes -= sum(k.nbytes for k in remembered)
                     remembered = None
         if remembered is not None:
             self._traces[key] = remembered
-
-    def _room(self, size: int, held: int) -> bool:
-        """Take so many bytes of the memory, beside those held by others; whether they were left."""
-        with self._lock:
-            self._bytes += size
-            return self._bytes + held <= MEMORY
 
 
 def _kept(trace: Trace) -> tuple[_Kept, np.ndarray]:
@@ -298,10 +297,6 @@ class _Against:
             start = k.stop
             out.append((curvature[:, k, k] - through[:, k] @ solved[:, k].transpose(0, 2, 1), force[:, k]))
         return out
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _within_bounds(trace: Trace, amplitude: np.ndarray) -> np.ndarray:

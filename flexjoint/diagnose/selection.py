@@ -7,14 +7,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from flexjoint.diagnose.candidates import Candidate
+from flexjoint.diagnose.crew import Crew, crew
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.scan import Scanner, Scored
+from flexjoint.diagnose.trials import at_noise, date_onset, larger_sets, polish
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import (
-    CLEARED,
     LEFTOVER,
     at_own_level,
     contradicted,
@@ -24,21 +23,14 @@ from flexjoint.diagnose.worth import (
     score,
     worthwhile,
 )
-from flexjoint.effect import Planned
+from flexjoint.effect import Planned, catalogue
 
 FILTERED = 1e-5  # share of the explained energy by which laws differ as filtered balances see their kinks ...
 FILTERED_BLIND = (
     1e-4  # ... and where a position is made of the nominal model, which is known to first order only
 )
-POLISHED = 8  # candidates fitted in full at each stage, at most ...
-PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
-RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
 MOST_EFFECTS = 12
 MOST_EXCHANGES = 4
-ONSET_STEPS = (  # s, of the search for an onset, with a fit of the numbers after each row: a jump of an
-    (0.25, 0.1, 0.04),  # encoder is seen to the sample, and dated wrongly explains nothing
-    (0.015, 0.006, 0.002),
-)
 
 Progress = Callable[[float, str], None]
 
@@ -54,13 +46,34 @@ class Selection:
     rivals: tuple[tuple[Fit, ...], ...]  # per chosen effect: fits with another in its place, best first
 
 
+@dataclass(frozen=True)
+class Search:
+    """What scans candidates, and the processes that share the work."""
+
+    scanner: Scanner
+    crew: Crew
+
+    def scan(self, current: Fit) -> tuple[Scored, ...]:
+        return self.scanner.scan(current, self.crew)
+
+
 def select(
-    workspace: Workspace, candidates: Sequence[Candidate], report: Progress, start: Sequence[Planned] = ()
+    workspace: Workspace,
+    candidates: Sequence[Candidate],
+    report: Progress,
+    start: Sequence[Planned] = (),
+    workers: int = 1,
 ) -> Selection:
-    """Forward selection with full refits, exchanges and pruning; `start` seeds the set."""
+    """Forward selection with full refits, exchanges and pruning; `start` seeds the set. Any number of
+    `workers` (processes) gives the same bits."""
+    scanner = Scanner(candidates)
+    with crew([*workspace.shared(), *catalogue().values(), *candidates, scanner], workers) as processes:
+        return _select(workspace, Search(scanner, processes), report, start)
+
+
+def _select(workspace: Workspace, search: Search, report: Progress, start: Sequence[Planned]) -> Selection:
     nothing = at_own_level(fit(workspace, []))
     best = at_own_level(fit(workspace, start)) if start else nothing
-    scanner = Scanner(candidates)
     first: tuple[Scored, ...] = ()
     scanned: tuple[Scored, ...] = ()
     rivals: tuple[tuple[Fit, ...], ...] = ()
@@ -68,11 +81,10 @@ def select(
     while len(best.effects) < MOST_EFFECTS:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
-        scanned, *beyond = scanner.scans([best] if bare is None else [best, bare])
+        scans = search.scanner.scans([best] if bare is None else [best, bare], search.crew)
+        scanned = scans[0]
         first = first or scanned
-        trials = polish(best, scanned)
-        found = [f for f in trials if worthwhile(f, best, f.effects[-1])]
-        found = on_one_level([*found, *clearing(best, trials, bare, beyond)])
+        found = larger_sets(best, scans, bare, search.crew)
         if not found:
             break
         best = prune(at_own_level(choose(found)))
@@ -81,60 +93,15 @@ def select(
         seen.add(_keys(best))
         newest = best.effects[-1]
         best, _ = exchange(
-            scanner, best, [e for e in best.effects if e.joint == newest.joint and e is not newest]
+            search, best, [e for e in best.effects if e.joint == newest.joint and e is not newest]
         )
     report(0.9, "comparing rival causes")
-    best, rivals = exchange(scanner, best, best.effects)
+    best, rivals = exchange(search, best, best.effects)
     return Selection(best, nothing, first, scanned, rivals)
 
 
 def _keys(result: Fit) -> frozenset[tuple[str, str | None]]:
     return frozenset(e.key for e in result.effects)
-
-
-def at_noise(best: Fit) -> Fit | None:
-    """The set fitted at the level of the predicted noise; None where neither a balance is wrong nor a nominal
-    number implausible."""
-    workspace = best.workspace
-    if workspace.strain <= 1.0 and not np.any(workspace.temper > CLEARED):
-        return None
-    return fit(workspace.at(np.ones_like(workspace.temper)), best.effects)
-
-
-def clearing(
-    best: Fit, trials: Sequence[Fit], bare: Fit | None, scanned: Sequence[tuple[Scored, ...]]
-) -> list[Fit]:
-    """Sets of one more effect that leave a tenth of the variance in the balances that are wrong, or no
-    nominal number implausible, each at the level that it leaves. At the level of `best`, at which hardly
-    anything counts, they need not show: the scan of the `bare` set at the predicted noise is looked at,
-    too."""
-    if bare is None:
-        return []
-    strained = best.workspace.strain > 1.0
-    left = best.workspace.temper / best.workspace.strain
-    wrong = left > CLEARED
-
-    def clears(levels: np.ndarray) -> bool:
-        return bool(np.any(wrong) and np.mean(np.log(left[wrong] / levels[wrong])) >= np.log(CLEARED))
-
-    out = []
-    for trial in (*trials, *(one for scan in scanned for one in polish(bare, scan))):
-        if strained or clears(bare.workspace.levels(trial.y)):
-            settled = at_own_level(trial)
-            relieved = strained and settled.workspace.strain <= 1.0
-            if relieved or clears(settled.workspace.temper):
-                without = fit(settled.workspace, best.effects)
-                if worthwhile(settled, without, settled.effects[-1]):
-                    out.append(settled)
-    return out
-
-
-def on_one_level(fits: Sequence[Fit]) -> list[Fit]:
-    """The fits at the lowest level among theirs."""
-    if not fits:
-        return []
-    lowest = min((f.workspace for f in fits), key=lambda w: float(np.sum(np.log(w.temper))))
-    return [f if f.workspace is lowest else fit(lowest, f.effects) for f in fits]
 
 
 def choose(fits: Sequence[Fit]) -> Fit:
@@ -144,27 +111,13 @@ def choose(fits: Sequence[Fit]) -> Fit:
     bare = best.workspace.energy(best.workspace.residual([]))
     share = FILTERED_BLIND if best.workspace.motion.missing else FILTERED
     close = score(best) + LEFTOVER * leftover(best) + share * max(0.0, bare - best.energy)
-    return min((f for f in fits if score(f) <= close), key=lambda f: (price(f.workspace, f.effects), score(f)))
-
-
-def polish(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Fit]:
-    """The most promising candidates fitted together with the current set, and dated: those whose first-order
-    gain comes near the best one's, and near the `needed` energy."""
-    out: list[Fit] = []
-    if not scanned:
-        return out
-    most = scanned[0].removes  # to first order; what is `needed` may lie beyond it
-    enough = max(PROMISING * most, RIVALLING * min(needed, most), 1.0)
-    for scored in scanned[:POLISHED]:
-        if scored.removes >= enough:
-            fitted = date_onset(fit(current.workspace, [*current.effects, scored.planned()]))
-            if not degenerate(current.workspace, fitted.effects[-1]):
-                out.append(fitted)
-    return out
+    return min(
+        (f for f in fits if score(f) <= close), key=lambda f: (price(f.workspace, f.effects), score(f))
+    )
 
 
 def exchange(
-    scanner: Scanner, result: Fit, places: Sequence[Planned]
+    search: Search, result: Fit, places: Sequence[Planned]
 ) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
     """Try other candidates in the place of some effects; keep what scores better. Also returns, for every
     effect that stays, the fits with a rival in its place, best first."""
@@ -178,7 +131,8 @@ def exchange(
             continue
         without = fit(result.workspace, others)
         needed = without.energy - result.energy
-        fits = [f for f in polish(without, scanner.scan(without), needed) if f.effects[-1].key != key]
+        tried = polish(without, search.scan(without), needed, search.crew)
+        fits = [f for f in tried if f.effects[-1].key != key]
         fits = [f for f in fits if not contradicted(f, without)]
         fits += [alone for f in fits for alone in containing(f, key[0])]
         swapped = choose([result, *fits])
@@ -240,42 +194,3 @@ def prune(result: Fit) -> Fit:
             return result
         result = cheapest
     return result
-
-
-def date_onset(result: Fit) -> Fit:
-    """Refine when the last effect set in, or find that it was always there."""
-    added = result.effects[-1]
-    if added.since is None:
-        return result
-    workspace = result.workspace
-    always = fit(workspace, [*result.effects[:-1], replace(added, since=None)])
-    for steps in ONSET_STEPS:
-        moved = _moved_onset(result, steps)
-        if moved != result.effects[-1].since:
-            trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
-            if trial.energy < result.energy:
-                result = trial
-    return (
-        always if score(always) < score(result) + 0.01 * max(0.0, always.energy - result.energy) else result
-    )
-
-
-def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
-    """Where, in ever smaller steps from its onset, the last effect of a set would have set in best, all
-    numbers held."""
-    workspace, added = result.workspace, result.effects[-1]
-
-    def energy(since: float) -> float:
-        if not 0.0 < since < workspace.balances.chains.t[-1]:
-            return np.inf
-        return workspace.energy(workspace.residual([*result.effects[:-1], replace(added, since=since)]))
-
-    best = float(added.since or 0.0)
-    least = energy(best)
-    for step in steps:
-        start = best
-        for sign in (-1.0, 1.0):
-            if best == start:  # it is on one side
-                while (there := energy(best + sign * step)) < least:
-                    least, best = there, best + sign * step
-    return best

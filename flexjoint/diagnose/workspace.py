@@ -154,6 +154,10 @@ class Workspace:
         change = columns - self._plain[numbers]
         return Moves(numbers, change, self._moved_grams(numbers, columns) if changed else self._grams)
 
+    def shared(self) -> list[object]:
+        """What this workspace has in common with all others of its recording."""
+        return [one for one in (*vars(self).values(), *self.nominal) if not isinstance(one, (int, float))]
+
     def only(self, used: np.ndarray) -> Workspace:
         """The same workspace with only some samples (bool, as many as `time`) counted."""
         other = copy.copy(self)

@@ -108,7 +108,11 @@ def diagnosed(case: StudyCase) -> dict[str, Any]:
     started = time.perf_counter()
     try:
         found = diagnose(
-            nominal, recordings, excluded=_struck(case.excluded), payloads=payloads[: len(recordings)]
+            nominal,
+            recordings,
+            excluded=_struck(case.excluded),
+            payloads=payloads[: len(recordings)],
+            workers=1,  # cases beside each other take the cores
         )
     except FlexJointError as error:
         return {**record, "diagnosis": time.perf_counter() - started, "verdict": "error", "error": str(error)}

@@ -1,0 +1,199 @@
+"""Sets of one effect more than a set: fitted, dated, and judged at the level that they leave. A crew shares
+the work."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from flexjoint.diagnose.crew import Crew
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.scan import Scored
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import (
+    CERTAIN,
+    CERTAIN_DATED,
+    CLEARED,
+    at_own_level,
+    degenerate,
+    score,
+    torque_shares,
+    worthwhile,
+)
+from flexjoint.effect import Planned
+
+POLISHED = 8  # candidates fitted in full at each stage, at most ...
+PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
+UNFITTED = 0.3  # share of its fitted size, a quarter of its energy or so, at least, that a scan shows
+FAR_WORSE = 3.0  # times the least energy, from which a set is not fitted again on the level of another
+RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
+ONSET_STEPS = (  # s, of the search for an onset, with a fit of the numbers after each row: a jump of an
+    (0.25, 0.1, 0.04),  # encoder is seen to the sample, and dated wrongly explains nothing
+    (0.015, 0.006, 0.002),
+)
+
+
+def at_noise(best: Fit) -> Fit | None:
+    """The set fitted at the level of the predicted noise; None where neither a balance is wrong nor a nominal
+    number implausible."""
+    workspace = best.workspace
+    if workspace.strain <= 1.0 and not np.any(workspace.temper > CLEARED):
+        return None
+    return fit(workspace.at(np.ones_like(workspace.temper)), best.effects)
+
+
+def larger_sets(best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, crew: Crew) -> list[Fit]:
+    """Sets of one more effect that are better than `best`, on one level. `scanned` are the scans of `best`
+    and, where there is one, of `bare`, the same set at the level of the predicted noise.
+
+    At the level of `best`, at which hardly anything counts, a cause need not show that leaves a tenth of the
+    variance in the balances that are wrong, or no nominal number implausible: such sets are judged at the
+    level that they leave, and the scan of the `bare` set is looked at, too."""
+    scored = promising(best, scanned[0])
+    judged = crew.map(_judged, [(best, one) for one in scored])
+    found = [f for f, better in judged if f is not None and better]
+    if bare is not None:
+        trials = [f for f, _ in judged if f is not None]
+        # whatever was fitted at the level of `best` settles where it would from here
+        known = {(s.candidate, s.since) for s, (f, _) in zip(scored, judged, strict=True) if f is not None}
+        others = [s for s in promising(bare, scanned[1]) if (s.candidate, s.since) not in known]
+        trials += [f for f in crew.map(_added, [(bare, one) for one in others]) if f is not None]
+        found += clearing(best, trials, bare, crew)
+    return on_one_level(found, crew)
+
+
+def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
+    """A set with a candidate added, and whether it is better at its level."""
+    best, added = task[0], added_to(*task)
+    return added, added is not None and worthwhile(added, best, added.effects[-1])
+
+
+def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, crew: Crew) -> list[Fit]:
+    """Those of some sets of one more effect than `best` that clear the balances that are wrong, each at the
+    level that it leaves. A set that leaves ten times more than one that does will not be chosen."""
+    waiting = [(_cleared(best, bare.workspace.levels(f.y)), f) for f in trials]
+    if best.workspace.strain <= 1.0:
+        waiting = [(share, f) for share, f in waiting if share >= np.log(CLEARED)]
+    while waiting:
+        most = max(share for share, _ in waiting)
+        first = [(best, f) for share, f in waiting if share >= most - np.log(CLEARED)]
+        found = [f for f in crew.map(_settled, first) if f is not None]
+        if found:
+            return found
+        waiting = [(share, f) for share, f in waiting if share < most - np.log(CLEARED)]
+    return []
+
+
+def _cleared(best: Fit, levels: np.ndarray) -> float:
+    """By how much (mean logarithm) levels are lower than those of `best`, in the balances that are wrong."""
+    left = best.workspace.temper / best.workspace.strain
+    wrong = left > CLEARED
+    return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
+
+
+def _settled(task: tuple[Fit, Fit]) -> Fit | None:
+    """A set of one more effect than `best` at the level that it leaves, if that is clearly lower or no
+    nominal number is implausible any more, and it is better there."""
+    best, trial = task
+    settled = at_own_level(trial)
+    relieved = best.workspace.strain > 1.0 and settled.workspace.strain <= 1.0
+    if not relieved and _cleared(best, settled.workspace.temper) < np.log(CLEARED):
+        return None
+    without = fit(settled.workspace, best.effects)
+    return settled if worthwhile(settled, without, settled.effects[-1]) else None
+
+
+def on_one_level(fits: Sequence[Fit], crew: Crew) -> list[Fit]:
+    """The fits at the lowest level among theirs, without those that are far worse there."""
+    if not fits:
+        return []
+    lowest = min((f.workspace for f in fits), key=lambda w: float(np.sum(np.log(w.temper))))
+    energies = [lowest.energy(f.y) for f in fits]
+    kept = [f for f, energy in zip(fits, energies, strict=True) if energy <= FAR_WORSE * min(energies)]
+    there = [np.array_equal(f.workspace.temper, lowest.temper) for f in kept]
+    above = [(lowest, f.effects) for f, same in zip(kept, there, strict=True) if not same]
+    moved = iter(crew.map(_refitted, above))
+    return [f if same else next(moved) for f, same in zip(kept, there, strict=True)]
+
+
+def _refitted(task: tuple[Workspace, Sequence[Planned]]) -> Fit:
+    return fit(*task)
+
+
+def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
+    """The candidates whose first-order gain comes near the best one's, and near the `needed` energy, and
+    which might matter."""
+    if not scanned:
+        return []
+    most = scanned[0].removes  # to first order; what is `needed` may lie beyond it
+    enough = max(PROMISING * most, RIVALLING * min(needed, most), 1.0)
+    near = [scored for scored in scanned[:POLISHED] if scored.removes >= enough]
+    return [scored for scored in near if might_matter(current, scored)]
+
+
+def might_matter(current: Fit, scored: Scored) -> bool:
+    """Whether an effect could be material once it is fitted: a small torque, of which little is seen, will
+    not grow to a large one."""
+    certain = CERTAIN if scored.since is None else CERTAIN_DATED
+    if scored.removes >= UNFITTED**2 * certain:
+        return True
+    effects = [*current.effects, scored.planned()]
+    shares = torque_shares(current.workspace, effects, len(effects) - 1)
+    return bool(np.max(shares) >= UNFITTED * current.workspace.robot.tolerance.torque)
+
+
+def polish(current: Fit, scanned: Sequence[Scored], needed: float, crew: Crew) -> list[Fit]:
+    """The most promising candidates fitted together with the current set, and dated."""
+    fits = crew.map(_added, [(current, scored) for scored in promising(current, scanned, needed)])
+    return [f for f in fits if f is not None]
+
+
+def _added(task: tuple[Fit, Scored]) -> Fit | None:
+    return added_to(*task)
+
+
+def added_to(current: Fit, scored: Scored) -> Fit | None:
+    """A set with a candidate added, fitted and dated; None where its law has shrunk."""
+    fitted = date_onset(fit(current.workspace, [*current.effects, scored.planned()]))
+    return None if degenerate(current.workspace, fitted.effects[-1]) else fitted
+
+
+def date_onset(result: Fit) -> Fit:
+    """Refine when the last effect set in, or find that it was always there."""
+    added = result.effects[-1]
+    if added.since is None:
+        return result
+    workspace = result.workspace
+    always = fit(workspace, [*result.effects[:-1], replace(added, since=None)])
+    for steps in ONSET_STEPS:
+        moved = _moved_onset(result, steps)
+        if moved != result.effects[-1].since:
+            trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
+            if trial.energy < result.energy:
+                result = trial
+    return (
+        always if score(always) < score(result) + 0.01 * max(0.0, always.energy - result.energy) else result
+    )
+
+
+def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
+    """Where, in ever smaller steps from its onset, the last effect of a set would have set in best, all
+    numbers held."""
+    workspace, added = result.workspace, result.effects[-1]
+
+    def energy(since: float) -> float:
+        if not 0.0 < since < workspace.balances.chains.t[-1]:
+            return np.inf
+        return workspace.energy(workspace.residual([*result.effects[:-1], replace(added, since=since)]))
+
+    best = float(added.since or 0.0)
+    least = energy(best)
+    for step in steps:
+        start = best
+        for sign in (-1.0, 1.0):
+            if best == start:  # it is on one side
+                while (there := energy(best + sign * step)) < least:
+                    least, best = there, best + sign * step
+    return best
