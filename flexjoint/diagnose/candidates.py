@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import least_squares
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING
 from flexjoint.diagnose.whitening import Band, Whitening
@@ -17,6 +17,8 @@ from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Effect, Param, Planned, Site, catalogue
 
 STILL = 20.0  # encoder noises that a joint must move, to show anything
+HEAVY, REACH = 10.0, 0.5  # weak prior of a load: so many times its link's mass, so many metres from its joint
+UNSEEN = 1e-12  # of the largest curvature: rounding
 TRIAL_SHARE = 0.05  # of the joint's torque: size at which a trace is taken
 
 
@@ -247,19 +249,25 @@ def inertial_trace(workspace: Workspace, candidate: Candidate, y: np.ndarray) ->
         p = record._replace(**{amplitude.name: mass, shape.name: place})
         return np.array(effect.edit_inertial([0.0] * 10, p), dtype=float)
 
-    def energy(x: np.ndarray) -> float:
-        pi = added(x)
-        weak = float(np.sum((x[1:] / 0.5) ** 2))
-        return float(2.0 * pi @ slope + pi @ curvature @ pi) + weak
+    # 2 slope pi + pi curvature pi, a constant aside, as a sum of squares; what is not seen has no part in it
+    seen, axes = np.linalg.eigh(curvature)
+    root = np.sqrt(seen[seen > UNSEEN * seen[-1]])
+    axes = axes[:, -root.size :]
+    target = axes.T @ slope / root
 
     own = float(workspace.motion.rigid.inertial[i, 0]) or 1.0
+    spread = np.array([HEAVY * own, REACH, REACH, REACH])
+
+    def misfit(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([root * (axes.T @ added(x)) + target, x / spread])
+
     length = 0.5 * float(np.linalg.norm(workspace.motion.rigid.inertial[i, 1:4])) / own + 0.05
     best: tuple[float, np.ndarray] | None = None
     for axis in np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))]):
         start = np.concatenate([[0.2 * own], 2.0 * length * axis])
-        found = minimize(energy, start, method="Nelder-Mead", options={"maxiter": 600, "fatol": 1e-3})
-        if best is None or found.fun < best[0]:
-            best = (float(found.fun), found.x)
+        found = least_squares(misfit, start, method="lm", x_scale="jac", max_nfev=300)
+        if best is None or found.cost < best[0]:
+            best = (float(found.cost), found.x)
     assert best is not None
     mass = float(np.clip(best[1][0], amplitude.low, amplitude.high))
     values = {amplitude.name: mass, shape.name: tuple(float(v) for v in best[1][1:])}
