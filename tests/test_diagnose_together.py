@@ -12,7 +12,6 @@ from flexjoint.errors import RecordingError
 from flexjoint.recording import Recording
 
 SOFT = Planted("spring_stiffness", "elbow", {"scale": -0.12})
-SOFTER = Planted("spring_stiffness", "elbow", {"scale": -0.3})
 
 
 def planted(seed: int, *causes: Planted) -> Recording:
@@ -37,13 +36,22 @@ def test_two_recordings_know_a_cause_better_than_one() -> None:
     assert any("all 2 recordings" in note for note in both.notes)
 
 
-def test_recordings_that_disagree_say_so() -> None:
-    both = diagnose(nominal("crane"), [planted(31, SOFT), planted(32, SOFTER)])
-    assert [(f.effect, f.joint) for f in both.findings] == [("spring_stiffness", "elbow")], summary(both)
-    assert any(note.startswith("the recordings disagree on scale") for note in both.notes), both.notes
-    # the number lies between, and is not known better than the recordings agree
-    assert -0.3 < scale(both.findings[0]).value < -0.12
-    assert scale(both.findings[0]).std > 0.03
+@pytest.mark.parametrize(
+    ("name", "number", "values"),
+    [("spring_stiffness", "scale", (-0.12, -0.3)), ("motor_encoder_offset", "offset", (0.01, 0.02))],
+)
+def test_recordings_that_disagree_say_so(name: str, number: str, values: tuple[float, float]) -> None:
+    """The first one's number is reported, which explains it, and is known no better than they agree."""
+    one, two = (planted(31 + k, Planted(name, "elbow", {number: x})) for k, x in enumerate(values))
+    both = diagnose(nominal("crane"), [one, two])
+    assert [(f.effect, f.joint) for f in both.findings] == [(name, "elbow")], summary(both)
+    assert both.verdict == "causes", summary(both)
+    assert any(note.startswith(f"the recordings disagree on {number}") for note in both.notes), both.notes
+    assert any("numbers of the first" in note for note in both.notes)
+    found = both.findings[0].parameters[number]
+    assert isinstance(found, Fitted)
+    assert found.value == pytest.approx(values[0], rel=0.01)
+    assert found.std > 0.2 * abs(values[1] - values[0])
 
 
 def test_healthy_recordings_stay_healthy_together() -> None:

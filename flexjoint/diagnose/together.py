@@ -6,7 +6,7 @@ all follow (shared_numbers.py), and the set's energy is the sum of what each rec
 them, with deviations of the nominal numbers that are common to all, too. The price of a set is paid once: a
 cause that only one recording wants must earn it from that one alone, and two that tie in one are parted by
 another. Where the recordings do not agree on the numbers, each may have its own, at their price: that is
-said, and the standard errors grow.
+said, those of the first are reported, and the standard errors grow.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ class _Joint:
     normals: tuple[np.ndarray, ...]
     numbers: np.ndarray  # (slots,) common to all
     curvature: np.ndarray  # (slots, slots) of the energy in them
+    apart: bool  # the recordings do not agree: each has its own numbers
 
     @property
     def score(self) -> float:
@@ -66,7 +67,8 @@ def combine(selections: Sequence[Selection]) -> Together:
     best = joints[best_key]
     dated = tuple(e for e in first.best.effects if e.since is not None)
     workspace = first.best.workspace
-    chosen = fit(workspace, [*best.effects, *dated], iterations=0)
+    lasting = best.fits[0].effects if best.apart else best.effects
+    chosen = fit(workspace, [*lasting, *dated], iterations=0)
     rivals = tuple(
         tuple(
             replace(
@@ -135,8 +137,16 @@ def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _J
     there = [fit(s.best.workspace, common, iterations=0) for s in selections]
     energy = sum(f.energy for f in there) + shared.surplus([f.y for f in there])
     apart = sum(f.energy for f in fits) + shared.surplus([f.y for f in fits])
-    energy = min(energy, apart + PRICE_NUMBER * len(slots) * (len(selections) - 1))
-    return _Joint(tuple(common), float(energy), tuple(fits), tuple(normals), numbers, curvature)
+    apart += PRICE_NUMBER * len(slots) * (len(selections) - 1)
+    return _Joint(
+        tuple(common),
+        float(min(energy, apart)),
+        tuple(fits),
+        tuple(normals),
+        numbers,
+        curvature,
+        bool(apart < energy),
+    )
 
 
 def _with_another(
@@ -177,7 +187,10 @@ def _errors(best: _Joint) -> dict[Key, Errors]:
 
 
 def _notes(best: _Joint) -> tuple[str, ...]:
-    notes = [f"causes and numbers common to all {len(best.fits)} recordings"]
+    count = len(best.fits)
+    notes = [f"causes and numbers common to all {count} recordings"]
+    if best.apart:
+        notes = [f"causes common to all {count} recordings, numbers of the first: the others have others"]
     for k, slot in enumerate(best.fits[0].slots):
         own = [slot.get(f.effects) for f in best.fits]
         apart = [

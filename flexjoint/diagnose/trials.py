@@ -26,9 +26,9 @@ from flexjoint.effect import Planned
 
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
 PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
-UNFITTED = 0.3  # share of its fitted size, a quarter of its energy or so, at least, that a scan shows
-FAR_WORSE = 3.0  # times the least energy, from which a set is not fitted again on the level of another
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
+UNFITTED = 0.3  # share of its fitted size, or its square of the energy, at least, that a scan shows
+FAR_WORSE = 3.0  # times the least energy, from which a set is not fitted again on the level of another
 ONSET_STEPS = (  # s, of the search for an onset, with a fit of the numbers after each row: a jump of an
     (0.25, 0.1, 0.04),  # encoder is seen to the sample, and dated wrongly explains nothing
     (0.015, 0.006, 0.002),
