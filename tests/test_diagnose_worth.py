@@ -13,6 +13,7 @@ from flexjoint.diagnose import trials
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.deviations import held, judged_energy
+from flexjoint.diagnose.doubts import finer
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.reliability import LEAST, left_by, reliability
 from flexjoint.diagnose.scan import Scanner
@@ -26,6 +27,7 @@ from flexjoint.diagnose.worth import (
     score,
     worthwhile,
 )
+from flexjoint.diagnosis import Estimation, Finding, Fitted
 from flexjoint.effect import Planned, plan
 
 CAUSES = (
@@ -189,6 +191,25 @@ def test_a_nominal_number_is_a_cause_beyond_its_tolerance() -> None:
             Case("turret", "rich", 3), Planted("motor_viscous_friction", "turn", more), assumed=(guess,)
         )
         assert worthwhile(right, fit(right.workspace, []), right.effects[0]) is named
+
+
+def test_a_law_finer_than_the_sensors_see_is_a_simpler_one() -> None:
+    """A loop that is through before an encoder shows any motion is dry friction."""
+    workspace = fitted(Case("turret", "rich", 3), assumed=()).workspace
+    for scale, simpler in ((3e-3, False), (5e-6, True)):
+        law = plan("dahl_friction", "turn", {"level": 0.4, "scale": scale})
+        assert degenerate(workspace, law) is simpler
+
+
+def test_a_shape_that_may_be_anything_is_not_named() -> None:
+    """A friction that fades within a minute, or in a day, as far as the data tell: it is constant."""
+    constant = plan("friction_drift", "turn", {"level": 0.4, "time_constant": 5e4})
+    for std, plainer in ((10.0, False), (2e5, True)):
+        numbers = {"level": Fitted(0.4, 0.001, "N m"), "time_constant": Fitted(5e4, std, "s")}
+        finding = Finding("friction_drift", "turn", 0.9, numbers, None, 0.9, "friction", constant)
+        estimation = Estimation("balances", "", ("level", "time_constant"), np.eye(2))
+        best = fitted(Case("turret", "rich", 3), assumed=(constant,))
+        assert bool(finer(best, [finding], estimation)) is plainer
 
 
 def test_what_cannot_matter_is_not_fitted() -> None:

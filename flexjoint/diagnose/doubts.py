@@ -52,6 +52,9 @@ def _finer(best: Fit, finding: Finding, estimation: Estimation) -> bool:
         correlation = _correlation(finding, estimation, [one, other])[0, 1]
         spread = std**2 + other_std**2 - 2.0 * correlation * std * other_std
         return bool((x - y)[0] ** 2 < SURE**2 * spread[0])
+    shapes = [p for p in effect.params if p.null is None and p.size == 1 and not p.wraps]
+    if effect.contains and any(_any_shape(finding, p) for p in shapes):
+        return True
     for name in effect.contains:
         simple = {p.name for p in catalogue()[name].params}
         if simple < {p.name for p in effect.params}:
@@ -59,6 +62,12 @@ def _finer(best: Fit, finding: Finding, estimation: Estimation) -> bool:
             if added and all(_distance(best, finding, p, estimation, ()) < SURE for p in added):
                 return True
     return False
+
+
+def _any_shape(finding: Finding, shape: Param) -> bool:
+    """Whether a law's shape may as well be at its bound, where the law is a simpler one."""
+    value, std = _fitted(finding, shape)
+    return bool(value[0] - std[0] <= shape.low or value[0] + std[0] >= shape.high)
 
 
 def _distance(

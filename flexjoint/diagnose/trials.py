@@ -3,6 +3,7 @@ the work."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -27,6 +28,9 @@ from flexjoint.effect import Planned
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
 PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
 RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
+MOST_ON_JOINT = (
+    4  # causes, of which the last are hardly believed (reliability.py): a fifth one would not help
+)
 UNFITTED = 0.3  # share of its fitted size, or its square of the energy, at least, that a scan shows
 FAR_WORSE = 3.0  # times the least energy, from which a set is not fitted again on the level of another
 ONSET_STEPS = (  # s, of the search for an onset, with a fit of the numbers after each row: a jump of an
@@ -125,6 +129,8 @@ def _refitted(task: tuple[Workspace, Sequence[Planned]]) -> Fit:
 def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
     """The candidates whose first-order gain comes near the best one's, and near the `needed` energy, and
     which might matter."""
+    joints = Counter(e.joint for e in current.effects)
+    scanned = [s for s in scanned if s.candidate.joint is None or joints[s.candidate.joint] < MOST_ON_JOINT]
     if not scanned:
         return []
     most = scanned[0].removes  # to first order; what is `needed` may lie beyond it

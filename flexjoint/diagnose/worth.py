@@ -14,7 +14,7 @@ import numpy as np
 from flexjoint.diagnose.fit import Fit, fit, shifts
 from flexjoint.diagnose.nuisance import NUMBERS
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.effect import Planned
+from flexjoint.effect import Param, Planned
 
 # energy that an effect of one number must earn on one joint, 4 deviations: some hundred candidates are tried,
 # and in a hundred healthy recordings chance may favour one of them
@@ -80,7 +80,7 @@ def at_own_level(result: Fit) -> Fit:
 
 
 def degenerate(workspace: Workspace, planned: Planned) -> bool:
-    """Whether a law has shrunk to none, or to a simpler one (a shape parameter at its bound), or names a
+    """Whether a law has shrunk to none, or to a simpler one (a shape at its bound, or unseen), or names a
     torque far beyond what its joint has and what it shows itself (a bump of friction below the speeds that
     the data resolve)."""
     sizes = [(planned.values[p.name], p.null) for p in planned.effect.nulls]
@@ -97,7 +97,16 @@ def degenerate(workspace: Workspace, planned: Planned) -> bool:
     shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
     return any(
         np.isclose(planned.values[p.name], (p.low, p.high), rtol=AT_BOUND, atol=0.0).any() for p in shapes
-    )
+    ) or _unseen(workspace, planned, shapes)
+
+
+def _unseen(workspace: Workspace, planned: Planned, shapes: Sequence[Param]) -> bool:
+    """Whether a law has a length (a scale or width, not a place) below the noise of its joint's positions."""
+    if planned.joint is None:
+        return False
+    noise, k = workspace.readings.noise, workspace.robot.joint_names.index(planned.joint)
+    finest = max(float(noise["q"][k]), float(noise["theta"][k]))
+    return any(p.unit == "rad" and p.low > 0.0 and planned.values[p.name] < finest for p in shapes)
 
 
 def shown(workspace: Workspace, planned: Planned) -> float:
