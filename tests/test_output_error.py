@@ -15,6 +15,7 @@ from flexjoint.clockwork import readings, rollout
 from flexjoint.diagnose import diagnose, extended_model, refined, verdict
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.shooting import Reduced, Shooting
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import at_own_level
 from flexjoint.diagnosis import Diagnosis, Estimation, Finding, Fitted, to_json
@@ -327,6 +328,28 @@ def test_a_model_that_does_not_follow_keeps_the_balances_numbers() -> None:
     assert found == before
     assert estimation.method == "balances"
     assert estimation.why
+
+
+@pytest.mark.parametrize("later", [0, 2, 3])
+def test_where_nothing_can_be_simulated_the_balances_numbers_stay(
+    later: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From some linearisation on every window leaves the finite numbers: at the start, in the search, or when
+    the error of the steps is asked for."""
+    robot, recording, best = balanced(0)
+    linearise, count = Shooting.linearise, 0
+
+    def lost(self: Shooting, *given: object) -> list[Reduced]:
+        nonlocal count
+        count += 1
+        windows = linearise(self, *given)  # type: ignore[arg-type]
+        return [replace(w, energy=np.nan) for w in windows] if count > later else list(windows)
+
+    monkeypatch.setattr(Shooting, "linearise", lost)
+    before = findings_of(best)
+    found, estimation = refined.refine(robot, recording, best, before)
+    assert found == before
+    assert estimation.why == "no window of the recording can be simulated with these numbers"
 
 
 def test_a_diagnosis_refines_unless_told_not_to() -> None:

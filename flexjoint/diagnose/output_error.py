@@ -15,6 +15,7 @@ import numpy as np
 from flexjoint.diagnose.fit import Fit, weak_prior
 from flexjoint.diagnose.shooting import Reduced, Shooting
 from flexjoint.effect import Planned
+from flexjoint.errors import SimulationError
 
 OUTLYING = 5.0  # times the usual residual, from which a window is left out, and
 MOST_PASSES = 8
@@ -95,7 +96,8 @@ class Refinement:
                 taken = self._moved(point, step * 0.5**halving)
                 passes += 1
                 # the first energy is that of starts which have not been tried yet
-                if point is self.begin or self._energy(taken) < self._energy(point) + 1e-3:
+                lower = point is self.begin or self._energy(taken) < self._energy(point) + 1e-3
+                if lower and np.any(self._used(taken)):  # a simulation may leave the finite numbers
                     break
                 taken = None
             if taken is None:
@@ -157,15 +159,14 @@ class Refinement:
         return max(1.0, best / max(1, freedom))
 
     def _curvature(self, point: _Point, used: np.ndarray) -> np.ndarray:
-        out = np.sum([r.curvature for r, use in zip(point.windows, used, strict=True) if use], axis=0)
+        out = np.sum([r.curvature for r in _those(point, used)], axis=0)
         out = out / self.level + np.diag(np.concatenate([np.zeros(self.k), np.ones(self.d)]))
         for k, (_, first) in enumerate(self._weak(point.slots)):
             out[k, k] += first**2
         return out
 
     def _slope(self, point: _Point, used: np.ndarray) -> np.ndarray:
-        out = np.sum([r.slope for r, use in zip(point.windows, used, strict=True) if use], axis=0)
-        out = out / self.level
+        out = np.sum([r.slope for r in _those(point, used)], axis=0) / self.level
         out[self.k :] += point.deviations
         for k, (value, first) in enumerate(self._weak(point.slots)):
             out[k] += value * first
@@ -246,6 +247,14 @@ class Refinement:
             for r, use in zip(point.windows, unseen, strict=True):
                 gained += use * (_predicted(r, back) - _predicted(r, step))
         return gained / self.level, chance
+
+
+def _those(point: _Point, used: np.ndarray) -> list[Reduced]:
+    """The windows that are used; SimulationError where none can be."""
+    windows = [r for r, use in zip(point.windows, used, strict=True) if use]
+    if not windows:
+        raise SimulationError("no window of the recording can be simulated with these numbers")
+    return windows
 
 
 def _predicted(reduced: Reduced, step: np.ndarray) -> float:
