@@ -22,8 +22,9 @@ help:
 demo: .venv/.demo
 	$(BIN)/flexjoint demo
 
+# a file's tests share what they plant and build; in order, so that the long ones do not come last
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadgroup
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # SHARD=1/2 and SHARD=2/2 share the work; STUDY is the folder that holds what is done
 STUDY ?= study-results

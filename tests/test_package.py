@@ -17,7 +17,6 @@ import pytest
 import flexjoint
 
 ROOT = Path(__file__).parent.parent
-pytestmark = pytest.mark.xdist_group("package")  # one worker builds, installs and runs the demo for all
 
 
 def call(*words: object, folder: Path) -> str:

@@ -19,7 +19,6 @@ from flexjoint.cli import main
 from flexjoint.view.browser import Browser, opened
 from flexjoint.view.motion import contact_points
 
-pytestmark = pytest.mark.xdist_group("browser")
 SIZE = (480, 320)  # software draws it, on two cores
 
 

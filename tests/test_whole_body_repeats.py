@@ -14,7 +14,6 @@ from flexjoint.model import FlexibleJointModel
 from flexjoint.parameters import renumbered
 from flexjoint.trajectory import Trajectory
 
-pytestmark = pytest.mark.xdist_group("whole_body_repeats")  # they share what is compiled and simulated
 GOLDEN = Path(__file__).parent / "golden" / "whole_body.parquet"
 GRAVITY, MOTOR = "none", "link"  # the variant that gives the paper's picture
 
