@@ -25,6 +25,7 @@ NAMED = (
     ("single", 185),
     ("single", 333),
     ("double", 0),
+    ("double", 1),  # a gap that a cable keeps closed: an offset, and the gap is told of
     ("double", 31),  # a gain beside an offset that explains ten thousand times as much
     ("several", 6),
 )

@@ -26,8 +26,11 @@ from flexjoint.diagnose.worth import (
 from flexjoint.effect import Planned
 
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
-PROMISING = 0.3  # ... with this share of the best one's first-order gain ...
-RIVALLING = 0.7  # ... and, as rivals of an effect, this share of what it explains
+PROMISING = 0.3  # ... with this share of the best one's first-order gain
+RIVALS = (
+    12  # as rivals of an effect (a gap, offsets and a preload are the same where a joint is pulled one way)
+)
+RIVALLING = 0.7  # with this share of what it explains
 MOST_ON_JOINT = (
     4  # causes, of which the last are hardly believed (reliability.py): a fifth one would not help
 )
@@ -127,15 +130,16 @@ def _refitted(task: tuple[Workspace, Sequence[Planned]]) -> Fit:
 
 
 def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
-    """The candidates whose first-order gain comes near the best one's, and near the `needed` energy, and
-    which might matter."""
+    """The candidates whose first-order gain comes near the best one's, and near the energy that is `needed`
+    of rivals, and which might matter."""
     joints = Counter(e.joint for e in current.effects)
     scanned = [s for s in scanned if s.candidate.joint is None or joints[s.candidate.joint] < MOST_ON_JOINT]
     if not scanned:
         return []
     most = scanned[0].removes  # to first order; what is `needed` may lie beyond it
     enough = max(PROMISING * most, RIVALLING * min(needed, most), 1.0)
-    near = [scored for scored in scanned[:POLISHED] if scored.removes >= enough]
+    count = RIVALS if needed > 0.0 else POLISHED
+    near = [scored for scored in scanned[:count] if scored.removes >= enough]
     return [scored for scored in near if might_matter(current, scored)]
 
 
