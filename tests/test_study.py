@@ -23,6 +23,7 @@ NAMED = (
     ("single", 91),  # a friction, the link's angle unknown: its zone leaves what a gap would explain
     ("single", 148),
     ("single", 185),
+    ("single", 186),  # a gap that opens late, whose date does not count at the level of what it leaves open
     ("single", 333),
     ("double", 0),
     ("double", 1),  # a gap that a cable keeps closed: an offset, and the gap is told of

@@ -63,8 +63,13 @@ def larger_sets(best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | No
     found = [f for f, better in judged if f is not None and better]
     if bare is not None:
         trials = [f for f, _ in judged if f is not None]
-        # whatever was fitted at the level of `best` settles where it would from here
-        known = {(s.candidate, s.since) for s, (f, _) in zip(scored, judged, strict=True) if f is not None}
+        # what was fitted at the level of `best`, and is still dated or not as the scan had it, settles where
+        # it would from here
+        known = {
+            (s.candidate, s.since)
+            for s, (f, _) in zip(scored, judged, strict=True)
+            if f is not None and (f.effects[-1].since is None) == (s.since is None)
+        }
         others = [s for s in promising(bare, scanned[1]) if (s.candidate, s.since) not in known]
         trials += [f for f in crew.map(_added, [(bare, one) for one in others]) if f is not None]
         found += clearing(best, trials, bare, crew)
