@@ -24,11 +24,15 @@ NAMED = (
     ("single", 148),
     ("single", 185),
     ("single", 186),  # a gap that opens late, whose date does not count at the level of what it leaves open
+    ("single", 238),  # a load that comes late, and would be another one had it always been there
     ("single", 333),
     ("double", 0),
     ("double", 1),  # a gap that a cable keeps closed: an offset, and the gap is told of
     ("double", 31),  # a gain beside an offset that explains ten thousand times as much
+    ("double", 62),  # an offset that a preload explains as well but for single moments
+    ("double", 89),  # a gap that by itself is wide enough for the offset beside it
     ("several", 6),
+    ("several", 15),  # a friction at rest whose springs are known up to unknown offsets
 )
 HEALTHY = (0, 1, 2, 3)
 STRUCK = (74,)

@@ -20,7 +20,7 @@ from scipy import fft
 
 from flexjoint.diagnose.chain import Chain, Chains
 from flexjoint.diagnose.motion import Motion, reconstruct
-from flexjoint.diagnose.signals import denoised, prepare
+from flexjoint.diagnose.signals import centred, denoised, prepare
 from flexjoint.effect import Planned, Site
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
@@ -151,7 +151,7 @@ class TwinBalances(Balances):
 def balances_of(robot: Robot, recording: Recording) -> TwinBalances:
     """The balances of a recording against a robot, with a denoised twin; RecordingError when the
     sensors do not allow any."""
-    readings = prepare(robot, recording)
+    readings = centred(robot, prepare(robot, recording))
     return TwinBalances(
         reconstruct(robot, readings, recording), reconstruct(robot, denoised(readings), recording)
     )

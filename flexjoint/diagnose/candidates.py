@@ -20,6 +20,8 @@ STILL = 20.0  # encoder noises that a joint must move, to show anything
 HEAVY, REACH = 10.0, 0.5  # weak prior of a load: so many times its link's mass, so many metres from its joint
 UNSEEN = 1e-12  # of the largest curvature: rounding
 TRIAL_SHARE = 0.05  # of the joint's torque: size at which a trace is taken
+LATER = (0.0, 0.5, 0.75)  # of the recording, from where a load is looked for: one that comes late is not what
+# the whole recording would have it be
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ def traces(
     """First-order traces of a candidate on top of `base`, whose whitened residual is y, one per start."""
     effect = candidate.effect
     if effect.site is Site.BODY and effect.overrides("edit_inertial"):
-        yield inertial_trace(workspace, candidate, y)
+        yield from load_traces(workspace, candidate, y)
         return
     listed = next((e for e in base if e.key == candidate.key), None)
     phase = [p.name for p in effect.params if p.wraps]
@@ -230,47 +232,62 @@ def trial_size(workspace: Workspace, candidate: Candidate, param: Param) -> floa
     return float(np.clip(by_unit.get(param.unit, param.value), param.low, param.high))
 
 
-def inertial_trace(workspace: Workspace, candidate: Candidate, y: np.ndarray) -> Trace:
-    """A change of a link's inertial parameters: the residual is linear in the ten of them, so that the
-    effect's own few parameters are found on a quadratic form, without touching the signals again."""
+def load_traces(workspace: Workspace, candidate: Candidate, y: np.ndarray) -> Iterator[Trace]:
+    """A change of a link's inertial parameters, as the whole recording shows it and as later parts do: the
+    residual is linear in the ten of them, so that the effect's own few parameters are found on a quadratic
+    form, without touching the signals again."""
     assert candidate.joint is not None
-    effect = candidate.effect
     i = workspace.robot.joint_names.index(candidate.joint)
-    white = workspace.whitening
-    moments = np.stack([white.white(workspace.inertial_band(i, unit)).ravel() for unit in np.eye(10)])
-    curvature, slope = workspace.normal(moments, y)
-    amplitude = effect.nulls[0]
-    shape = next(p for p in effect.params if p.size > 1)
+    white, time = workspace.whitening, workspace.time
+    moments = np.stack([white.white(workspace.inertial_band(i, unit)) for unit in np.eye(10)])
+    own = float(workspace.motion.rigid.inertial[i, 0]) or 1.0
+    reach = float(np.linalg.norm(workspace.motion.rigid.inertial[i, 1:4])) / own
+    amplitude, shape = _load_params(candidate.effect)
+    for share in LATER:
+        later = time >= time[0] + share * (time[-1] - time[0])
+        form = workspace.normal((moments * later).reshape(10, -1), y)
+        mass, *place = _load(candidate, *form, own, reach)
+        mass = float(np.clip(mass, amplitude.low, amplitude.high))
+        values = {amplitude.name: mass, shape.name: tuple(place)}
+        band = workspace.inertial_band(i, _inertial(candidate, np.array([mass, *place])))
+        yield Trace(candidate, values, (band,), white, "whole", {amplitude.name: mass}, {amplitude.name: 0.0})
 
-    record = candidate.planned({}).p
 
-    def added(x: np.ndarray) -> np.ndarray:
-        mass, *place = x.tolist()
-        p = record._replace(**{amplitude.name: mass, shape.name: place})
-        return np.array(effect.edit_inertial([0.0] * 10, p), dtype=float)
+def _load_params(effect: Effect) -> tuple[Param, Param]:
+    """The parameters of a load's size and place."""
+    return effect.nulls[0], next(p for p in effect.params if p.size > 1)
 
-    # 2 slope pi + pi curvature pi, a constant aside, as a sum of squares; what is not seen has no part in it
+
+def _inertial(candidate: Candidate, load: np.ndarray) -> np.ndarray:
+    """(10, ...) inertial parameters of loads (4, ...): mass and place."""
+    amplitude, shape = _load_params(candidate.effect)
+    p = candidate.planned({}).p._replace(**{amplitude.name: load[0], shape.name: tuple(load[1:])})
+    return np.array(candidate.effect.edit_inertial([0.0 * load[0]] * 10, p))
+
+
+def _load(
+    candidate: Candidate, curvature: np.ndarray, slope: np.ndarray, own: float, reach: float
+) -> list[float]:
+    """Mass and place at which 2 slope pi + pi curvature pi is least, of a link of mass `own` whose centre is
+    at a distance `reach`; weak priors keep them near it."""
+    # as a sum of squares, a constant aside; what is not seen has no part in it
     seen, axes = np.linalg.eigh(curvature)
     root = np.sqrt(seen[seen > UNSEEN * seen[-1]])
-    axes = axes[:, -root.size :]
-    target = axes.T @ slope / root
-
-    own = float(workspace.motion.rigid.inertial[i, 0]) or 1.0
+    rows = root[:, None] * axes[:, -root.size :].T
+    target = axes[:, -root.size :].T @ slope / root
     spread = np.array([HEAVY * own, REACH, REACH, REACH])
 
     def misfit(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([root * (axes.T @ added(x)) + target, x / spread])
+        return np.concatenate([rows @ _inertial(candidate, x) + target, x / spread])
 
-    length = 0.5 * float(np.linalg.norm(workspace.motion.rigid.inertial[i, 1:4])) / own + 0.05
-    best: tuple[float, np.ndarray] | None = None
+    def change(x: np.ndarray) -> np.ndarray:  # by complex steps, exact: the law is a polynomial
+        steps = _inertial(candidate, x[:, None] + 1e-20j * np.eye(4)).imag / 1e-20
+        return np.concatenate([rows @ steps, np.diag(1.0 / spread)])
+
+    best, least = np.zeros(4), np.inf
     for axis in np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))]):
-        start = np.concatenate([[0.2 * own], 2.0 * length * axis])
-        found = least_squares(misfit, start, method="lm", x_scale="jac", max_nfev=300)
-        if best is None or found.cost < best[0]:
-            best = (float(found.cost), found.x)
-    assert best is not None
-    mass = float(np.clip(best[1][0], amplitude.low, amplitude.high))
-    values = {amplitude.name: mass, shape.name: tuple(float(v) for v in best[1][1:])}
-    band = workspace.inertial_band(i, added(np.concatenate([[mass], best[1][1:]])))
-    size, origin = {amplitude.name: mass}, {amplitude.name: 0.0}
-    return Trace(candidate, values, (band,), white, "whole", size, origin)
+        start = np.concatenate([[0.2 * own], (reach + 0.1) * axis])
+        found = least_squares(misfit, start, change, method="lm", x_scale="jac", max_nfev=300)
+        if found.cost < least:
+            best, least = found.x, float(found.cost)
+    return [float(v) for v in best]

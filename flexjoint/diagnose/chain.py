@@ -122,13 +122,18 @@ class Chains:
     def _load(self, i: int, spring_hat: np.ndarray, link_hat: np.ndarray | float) -> np.ndarray:
         """Spectrum of what a motor pulls at. With unknown encoder offsets the spring's torque is known up to
         a constant only: the link's dynamics say it."""
-        if self.motion.robot.joints[i].rigid or self.floating:
+        if self.motion.robot.joints[i].rigid or self._floats(i):
             return self.filter.spectrum(self.motion.rigid.tau[i]) - link_hat
         return spring_hat
 
+    def _floats(self, i: int) -> bool:
+        """Whether the torque of joint i's spring is known up to a constant only: with unknown encoder offsets
+        and no torque sensor (by which they are centred)."""
+        return self.floating and not np.isfinite(self.motion.readings.tau_t[i, 0])
+
     def _transmitted(self, i: int, spring_hat: np.ndarray) -> np.ndarray:
         """(N,) the torque of joint i's transmission; with unknown encoder offsets its load says it."""
-        if self.motion.robot.joints[i].rigid or self.floating:
+        if self.motion.robot.joints[i].rigid or self._floats(i):
             return self.motion.rigid.tau[i]
         base = self.base(i)
         return base.spring if spring_hat is base.spring_hat else self._time(spring_hat)

@@ -16,7 +16,8 @@ from flexjoint.diagnose.nuisance import as_effects
 from flexjoint.diagnose.workspace import REMEMBERED, Workspace
 from flexjoint.effect import Planned
 
-SETTLING = 3  # Gauss-Newton steps of the nominal numbers: their products are small
+SETTLING = 12  # Gauss-Newton steps of the nominal numbers at most, until what they explain changes by less
+SETTLED = 0.1  # than this energy (beside a stiffness off by a fifth, each step leaves a fifth of an offset)
 NOISY = 3.0  # temper above which sensor noise no longer decides anything
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
 
@@ -31,7 +32,11 @@ def settled(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> 
     pull = workspace.deviations(y)
     for _ in range(SETTLING):
         there = workspace.residual([*effects, *held(workspace, pull)])
+        last = pull
         pull = workspace.deviations(there + workspace.along(np.where(_as_effects(workspace), pull, 0.0)))
+        moved = workspace.along(pull - last) * workspace.weights
+        if float(moved @ moved) < SETTLED:
+            break
     return pull
 
 

@@ -20,6 +20,8 @@ from flexjoint.diagnose.whitening import Band
 from flexjoint.effect import Planned
 
 BLOCKS = 16  # time blocks at whose edges an onset is tried
+ONSET_SECONDS = 1.0  # beside an end of the recording, or a tenth of it, where nothing is seen to set in: what
+# states had before (a hysteresis, a creep) looks so there
 ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferred
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are remembered between scans
@@ -224,6 +226,11 @@ def _score(kept: _Kept, curvature: np.ndarray, force: np.ndarray, starts: np.nda
     return Scored(trace, amplitude[at], float(removes[at]), since, kept.sight)
 
 
+def onset_margin(seconds: float) -> float:
+    """[s] beside the ends of a recording of so many seconds, where no onset is looked for."""
+    return min(ONSET_SECONDS, 0.1 * seconds)
+
+
 class _Against:
     """Residual, nuisance and tangents of the current set, with sums over the tail of the record."""
 
@@ -233,7 +240,9 @@ class _Against:
         self.rows = len(workspace.balances.rows)
         time = workspace.time
         even = np.linspace(time[0], time[-1], BLOCKS + 1)[:-1]
-        edges = np.unique(np.searchsorted(time, even))
+        beside = onset_margin(time[-1] - time[0])
+        seen = (even >= time[0] + beside) & (even <= time[-1] - beside)
+        edges = np.unique(np.searchsorted(time, [time[0], *even[seen]]))
         self.starts = workspace.balances.chains.t[0] + time[edges]
         fixed, free = len(workspace.nuisance), len(current.tangents)
         tangents = current.tangents * workspace.weights

@@ -11,7 +11,7 @@ from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.crew import Crew, crew
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.scan import Scanner, Scored
-from flexjoint.diagnose.trials import at_noise, date_onset, larger_sets, polish
+from flexjoint.diagnose.trials import at_noise, beside_rivals, date_onset, larger_sets, polish
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import (
     LEFTOVER,
@@ -74,17 +74,39 @@ def select(
 def _select(workspace: Workspace, search: Search, report: Progress, start: Sequence[Planned]) -> Selection:
     nothing = at_own_level(fit(workspace, []))
     best = at_own_level(fit(workspace, start)) if start else nothing
-    first: tuple[Scored, ...] = ()
-    scanned: tuple[Scored, ...] = ()
-    rivals: tuple[tuple[Fit, ...], ...] = ()
+    scans: list[tuple[Scored, ...]] = []  # of every set that was looked beyond
     seen = {_keys(best)}  # a cause may enter at its own level and not stay at that of the set
+    while True:
+        best = _grown(best, search, report, seen, scans)
+        report(0.9, "comparing rival causes")
+        best, rivals = exchange(search, best, best.effects)
+        pairs = beside_rivals(best, rivals, search.scanner.candidates, search.crew)
+        if not pairs or len(best.effects) >= MOST_EFFECTS:
+            break
+        pair = prune(choose(pairs))
+        if _keys(pair) in seen:
+            break
+        best = pair
+        seen.add(_keys(best))
+    first, last = (scans[0], scans[-1]) if scans else ((), ())
+    return Selection(best, nothing, first, last, rivals)
+
+
+def _grown(
+    best: Fit,
+    search: Search,
+    report: Progress,
+    seen: set[frozenset[tuple[str, str | None]]],
+    scans: list[tuple[Scored, ...]],
+) -> Fit:
+    """The set with causes added one by one, as long as one is better than none; sets that were `seen` are not
+    looked at again."""
     while len(best.effects) < MOST_EFFECTS:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
-        scans = search.scanner.scans([best] if bare is None else [best, bare], search.crew)
-        scanned = scans[0]
-        first = first or scanned
-        found = larger_sets(best, scans, bare, search.crew)
+        both = search.scanner.scans([best] if bare is None else [best, bare], search.crew)
+        scans.append(both[0])
+        found = larger_sets(best, both, bare, search.crew)
         if not found:
             break
         best = prune(at_own_level(choose(found)))
@@ -95,9 +117,7 @@ def _select(workspace: Workspace, search: Search, report: Progress, start: Seque
         best, _ = exchange(
             search, best, [e for e in best.effects if e.joint == newest.joint and e is not newest]
         )
-    report(0.9, "comparing rival causes")
-    best, rivals = exchange(search, best, best.effects)
-    return Selection(best, nothing, first, scanned, rivals)
+    return best
 
 
 def _keys(result: Fit) -> frozenset[tuple[str, str | None]]:
@@ -109,11 +129,17 @@ def choose(fits: Sequence[Fit]) -> Fit:
     filters leave of all that is explained, the plainest."""
     best = min(fits, key=score)
     bare = best.workspace.energy(best.workspace.residual([]))
-    share = FILTERED_BLIND if best.workspace.motion.missing else FILTERED
-    close = score(best) + LEFTOVER * leftover(best) + share * max(0.0, bare - best.energy)
+    close = score(best) + granted([best], bare - best.energy)
     return min(
         (f for f in fits if score(f) <= close), key=lambda f: (price(f.workspace, f.effects), score(f))
     )
+
+
+def granted(fits: Sequence[Fit], explained: float) -> float:
+    """Energy by which a plainer set may be worse than the one of these fits (one a recording): little against
+    what they leave unexplained, or against what filters leave of all that is explained."""
+    share = FILTERED_BLIND if any(f.workspace.motion.missing for f in fits) else FILTERED
+    return LEFTOVER * sum(leftover(f) for f in fits) + share * max(0.0, explained)
 
 
 def exchange(

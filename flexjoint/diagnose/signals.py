@@ -162,6 +162,20 @@ def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
     return ~spread[reach:-reach]
 
 
+def centred(robot: Robot, readings: Readings) -> Readings:
+    """With encoder offsets that are free in each recording: the motors' angles, moved so that springs carry
+    the measured torque on average. What is left of the offsets is small, as laws need it that are not linear
+    in the deflection (a gap, a friction at rest)."""
+    if robot.file.offsets != "per_recording":
+        return readings
+    theta = readings.theta.copy()
+    for i, joint in enumerate(robot.joints):
+        apart = theta[i] - readings.q[i] - readings.tau_t[i] / joint.drive.K
+        if not joint.rigid and np.all(np.isfinite(apart)):
+            theta[i] -= np.mean(apart[readings.valid])
+    return replace(readings, theta=theta)
+
+
 def denoised(readings: Readings) -> Readings:
     """The readings with everything passed through a Wiener filter: each frequency is kept to the share of its
     power that is not the predicted white noise."""

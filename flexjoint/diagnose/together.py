@@ -11,17 +11,17 @@ said, those of the first are reported, and the standard errors grow.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flexjoint.diagnose.fit import Fit, fit, normal_equations
-from flexjoint.diagnose.selection import Selection
+from flexjoint.diagnose.selection import Selection, granted
 from flexjoint.diagnose.shared_numbers import SharedNumbers
 from flexjoint.diagnose.verdict import Errors, Key, certainty
-from flexjoint.diagnose.worth import PRICE_NUMBER, price, score
-from flexjoint.effect import Planned
+from flexjoint.diagnose.worth import PRICE_NUMBER, degenerate, price, score
+from flexjoint.effect import Effect, Param, Planned, catalogue
 
 PRESENT = 1.0  # standard errors, disagreement counted, by which a common number must differ from none
 DISAGREE = 3.5  # standard errors by which a recording's own number may differ from the common one
@@ -51,8 +51,12 @@ class _Joint:
     apart: bool  # the recordings do not agree: each has its own numbers
 
     @property
+    def price(self) -> float:
+        return price(self.fits[0].workspace, self.effects)
+
+    @property
     def score(self) -> float:
-        return self.energy + price(self.fits[0].workspace, self.effects)
+        return self.energy + self.price
 
 
 def combine(selections: Sequence[Selection]) -> Together:
@@ -61,9 +65,7 @@ def combine(selections: Sequence[Selection]) -> Together:
     proposals = _proposals(selections)
     joints = {key: _fitted(selections, effects) for key, effects in proposals.items()}
     first = selections[0]
-    # a cause that one recording wants and the others do not is none of the robot's
-    ranked = sorted(joints, key=lambda key: joints[key].score)
-    best_key = next(key for key in ranked if _sure(first.nothing, joints[key]))
+    best_key = _chosen(first.nothing, joints)
     best = joints[best_key]
     dated = tuple(e for e in first.best.effects if e.since is not None)
     workspace = first.best.workspace
@@ -81,6 +83,19 @@ def combine(selections: Sequence[Selection]) -> Together:
     ) + tuple(first.rivals[first.best.effects.index(e)] for e in dated)
     selection = replace(first, best=chosen, rivals=tuple(tuple(sorted(r, key=score)) for r in rivals))
     return Together(selection, _errors(best), _notes(best))
+
+
+def _chosen(nothing: Fit, joints: Mapping[Names, _Joint]) -> Names:
+    """The best set of which all causes are the robot's (one that a recording wants and the others do not is
+    none), or the plainest of those that differ by what `selection.choose` grants."""
+    ranked = sorted(joints, key=lambda key: joints[key].score)
+    sure = [key for key in ranked if _sure(nothing, joints[key])]
+    best, bare = joints[sure[0]], joints[frozenset()]
+    close = best.score + granted(best.fits, bare.energy - best.energy)
+    return min(
+        (key for key in sure if joints[key].score <= close),
+        key=lambda key: (joints[key].price, joints[key].score),
+    )
 
 
 def _identity(effect: Planned) -> tuple[object, ...]:
@@ -166,9 +181,22 @@ def _other(kept: Sequence[Planned], joint: _Joint) -> Planned:
 
 
 def _sure(nothing: Fit, joint: _Joint) -> bool:
-    """Whether the recordings, however they disagree on its size, agree that there is every cause."""
+    """Whether the recordings, however they disagree on its size, agree that there is every cause, and by the
+    law that it has: one that contains a simpler law has numbers beyond that one's."""
     errors, nominal = _errors(joint), replace(nothing, effects=joint.effects)
-    return all(certainty(nominal, e, errors[e.key]) >= PRESENT for e in joint.effects)
+    for e in joint.effects:
+        laws = [e.effect.nulls, *(_beyond(e.effect, name) for name in e.effect.contains)]
+        known = [certainty(nominal, e, errors[e.key], numbers) for numbers in laws if numbers]
+        if degenerate(nothing.workspace, e) or min(known) < PRESENT:
+            return False
+    return True
+
+
+def _beyond(effect: Effect, simple: str) -> list[Param]:
+    """Numbers by which an effect goes beyond one that it contains as a special case; none where it has others
+    in their place."""
+    own, known = {p.name for p in effect.params}, {p.name for p in catalogue()[simple].params}
+    return [p for p in effect.nulls if p.name not in known] if known < own else []
 
 
 def _errors(best: _Joint) -> dict[Key, Errors]:

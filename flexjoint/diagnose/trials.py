@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.crew import Crew
 from flexjoint.diagnose.fit import Fit, fit
-from flexjoint.diagnose.scan import Scored
+from flexjoint.diagnose.scan import Scanner, Scored, onset_margin
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import (
     CERTAIN,
@@ -103,6 +104,36 @@ def _cleared(best: Fit, levels: np.ndarray) -> float:
     left = best.workspace.temper / best.workspace.strain
     wrong = left > CLEARED
     return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
+
+
+def beside_rivals(
+    best: Fit, rivals: Sequence[Sequence[Fit]], candidates: Sequence[Candidate], crew: Crew
+) -> list[Fit]:
+    """Where `best` leaves balances wrong: sets that clear them of each effect, started anew, beside each of
+    the fits with a rival in its place. An effect that came first has sizes that stand in for what its rival
+    explains (a gap, for an offset that moves it to one side), from where no search finds back."""
+    wrong = best.workspace.temper / best.workspace.strain > CLEARED
+    if not np.any(wrong):
+        return []
+    tasks = []
+    for effect, fits in zip(best.effects, rivals, strict=True):
+        own = tuple(c for c in candidates if c.key == effect.key)
+        tasks += [(best, rival, own) for rival in fits]
+    return on_one_level([f for f in crew.map(_beside, tasks) if f is not None], crew)
+
+
+def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
+    """The last effect of a rival set, and what it took the place of once more, if that clears what is wrong
+    in `best`, each at its own level."""
+    best, rival, candidates = task
+    scored = Scanner(candidates).scan(rival)
+    trial = added_to(rival, scored[0]) if scored else None
+    if trial is None or _cleared(best, trial.workspace.levels(trial.y)) < np.log(CLEARED):
+        return None
+    settled = at_own_level(trial)
+    newcomer = settled.effects[len(rival.effects) - 1]
+    without = fit(settled.workspace, best.effects)
+    return settled if worthwhile(settled, without, newcomer) else None
 
 
 def _settled(task: tuple[Fit, Fit]) -> Fit | None:
@@ -197,9 +228,11 @@ def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
     """Where, in ever smaller steps from its onset, the last effect of a set would have set in best, all
     numbers held."""
     workspace, added = result.workspace, result.effects[-1]
+    end = float(workspace.balances.chains.t[-1])
+    beside = onset_margin(end)
 
     def energy(since: float) -> float:
-        if not 0.0 < since < workspace.balances.chains.t[-1]:
+        if not beside <= since <= end - beside:
             return np.inf
         return workspace.energy(workspace.residual([*result.effects[:-1], replace(added, since=since)]))
 

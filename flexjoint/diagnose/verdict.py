@@ -12,13 +12,11 @@ from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.reliability import left_by, reliability
 from flexjoint.diagnose.selection import Selection, choose
-from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, leftover, score
-from flexjoint.diagnosis import Finding, Fitted, Ranked, Tie, WithinTolerance
+from flexjoint.diagnose.ties import preferred, ties
+from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, score
+from flexjoint.diagnosis import Finding, Fitted, Ranked, WithinTolerance
 from flexjoint.effect import Kind, Param, Planned
 
-TIE = 12.0  # score by which a rival may lose and still fit as well
-MOVED = 12.0  # more where readings are moved in time, which brings other noise at the record's edges
-MOST_TIES = 3
 SCORE_BLOCK = 1.0  # s, of the time blocks behind the standard errors
 SEEN_SHARE = 0.2  # of a joint's torque: an effect that must be larger to be seen was not excited
 DETECTABLE = 20.0  # energy that makes an effect seen
@@ -108,9 +106,13 @@ def _without(best: Fit, effect: Planned) -> Fit:
     return fit(best.workspace, [e for e in best.effects if e is not effect])
 
 
-def certainty(best: Fit, planned: Planned, spread: dict[str, list[float]]) -> float:
-    """Distance of an effect from its absence, in standard errors of the number that is furthest from it."""
-    return max([_distance(best, planned, param, spread) for param in planned.effect.nulls], default=0.0)
+def certainty(
+    best: Fit, planned: Planned, spread: dict[str, list[float]], params: Sequence[Param] | None = None
+) -> float:
+    """Distance of an effect, or of some of its numbers, from its absence, in standard errors of the number
+    that is furthest from it."""
+    params = planned.effect.nulls if params is None else params
+    return max([_distance(best, planned, param, spread) for param in params], default=0.0)
 
 
 def _distance(best: Fit, planned: Planned, param: Param, spread: dict[str, list[float]]) -> float:
@@ -133,23 +135,24 @@ def findings(
     if not best.effects:
         return ()
     errors = standard_errors(best)
+    completeness = min(1.0, explained + 0.02)
     out: list[Finding] = []
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
-        ties, (left, share) = _ties(best, planned, rivals), left_by(best, selection.nothing, k)
+        tied, (left, share) = ties(best, planned, rivals), left_by(best, selection.nothing, k)
         believed = reliability(best, left, share, k)
         out.append(
             Finding(
                 planned.effect.name,
                 planned.joint,
-                _preferred(selection, k, ties, explained) * believed,
+                preferred(best, planned, rivals, tied) * completeness * believed,
                 _parameters(planned, (spread or {}).get(planned.key, errors[k]), listed),
                 None if planned.since is None else planned.since + best.workspace.readings.start,
                 gains[k],
                 str(planned.effect.kind),
                 planned,
-                ties,
+                tied,
                 hidden_by_refit=_hidden_by_refit(selection, k),
                 note="change against the nominal model's own entry" if listed is not None else "",
                 left=left,
@@ -228,42 +231,6 @@ def _parameters(
         if chosen is not None:
             out[word.name] = str(chosen)
     return out
-
-
-def _ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]:
-    """Rivals that fit as well. One that merely contains the found effect is no rival of it."""
-    out: list[Tie] = []
-    for rival in rivals:
-        other = rival.effects[-1]
-        moved = any(e.effect.overrides("delay") for e in (planned, other))
-        margin = TIE + (MOVED if moved else 0.0) + 0.05 * leftover(best)
-        behind = score(rival) - score(best)
-        if behind > margin or planned.effect.name in other.effect.contains or len(out) >= MOST_TIES:
-            continue
-        out.append(
-            Tie(
-                other.effect.name,
-                other.joint,
-                f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides): with"
-                " these sensors and this motion both leave the same trace",
-            )
-        )
-    return tuple(out)
-
-
-def _preferred(selection: Selection, k: int, ties: Sequence[Tie], explained: float) -> float:
-    """Probability of a cause against its rivals: from the margin over the best one that is not a tie, shared
-    among ties, and lowered by what the whole set leaves unexplained."""
-    best = selection.best
-    tied = {(tie.effect, tie.joint) for tie in ties}
-    rivals = selection.rivals[k] if k < len(selection.rivals) else ()
-    name = best.effects[k].effect.name  # a law that contains it is no rival: it says the same, and more
-    others = [
-        r for r in rivals if r.effects[-1].key not in tied and name not in r.effects[-1].effect.contains
-    ]
-    margin = min((score(r) - score(best) for r in others), default=40.0)
-    against = 1.0 / (1.0 + np.exp(-0.5 * np.clip(margin, -40.0, 40.0)))
-    return float(against * min(1.0, explained + 0.02) / (1 + len(ties)))
 
 
 def _hidden_by_refit(selection: Selection, k: int) -> bool:

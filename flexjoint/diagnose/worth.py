@@ -101,12 +101,16 @@ def degenerate(workspace: Workspace, planned: Planned) -> bool:
 
 
 def _unseen(workspace: Workspace, planned: Planned, shapes: Sequence[Param]) -> bool:
-    """Whether a law has a length (a scale or width, not a place) below the noise of its joint's positions."""
+    """Whether a law has a length (a scale or width, not a place) below the noise of its joint's positions, or
+    sets in and has nothing above it: a shift so small is a drift of whatever the model holds."""
     if planned.joint is None:
         return False
     noise, k = workspace.readings.noise, workspace.robot.joint_names.index(planned.joint)
     finest = max(float(noise["q"][k]), float(noise["theta"][k]))
-    return any(p.unit == "rad" and p.low > 0.0 and planned.values[p.name] < finest for p in shapes)
+    if any(p.unit == "rad" and p.low > 0.0 and planned.values[p.name] < finest for p in shapes):
+        return True
+    sizes = [p for p in planned.effect.nulls if planned.since is not None]
+    return bool(sizes) and all(p.unit == "rad" and abs(planned.values[p.name]) < finest for p in sizes)
 
 
 def shown(workspace: Workspace, planned: Planned) -> float:

@@ -1,0 +1,74 @@
+"""Rivals that explain a recording as well as a cause, and how much the cause is preferred to the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.worth import FINER_ERROR, leftover, score
+from flexjoint.diagnosis import Tie
+from flexjoint.effect import Planned
+
+TIE = 12.0  # score by which a rival may lose and still fit as well
+MOVED = 12.0  # more where readings are moved in time, which brings other noise at the record's edges
+MOST_TIES = 3
+BLOCK = 1.0  # s of the time blocks in which rivals are compared ...
+BLOCKS = 12  # ... of which there are so many at least
+THROUGHOUT = 2.0  # deviations among the blocks, from which a rival is worse throughout
+
+
+def ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]:
+    """Rivals that fit as well. One that merely contains the found effect is no rival of it."""
+    out: list[Tie] = []
+    if not rivals:
+        return ()
+    without = fit(best.workspace, [e for e in best.effects if e is not planned])
+    negligible = FINER_ERROR * (without.energy - best.energy)
+    for rival in rivals:
+        other = rival.effects[-1]
+        moved = any(e.effect.overrides("delay") for e in (planned, other))
+        margin = TIE + (MOVED if moved else 0.0) + 0.05 * leftover(best)
+        behind = score(rival) - score(best)
+        if planned.effect.name in other.effect.contains or len(out) >= MOST_TIES:
+            continue
+        why = ""
+        if behind <= margin:
+            why = f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides)"
+        elif rival.energy - best.energy < negligible and not _worse_throughout(best, rival):
+            why = f"fits these data as well but for single moments (score {behind:+.1f})"
+        if why:
+            told = f"{why}: with these sensors and this motion both leave the same trace"
+            out.append(Tie(other.effect.name, other.joint, told))
+    return tuple(out)
+
+
+def _worse_throughout(best: Fit, rival: Fit) -> bool:
+    """Whether a rival leaves more all over the recording. Errors of the method (a filter round an onset or a
+    kink) sit in single moments, so that the differences of time blocks scatter as much as they add up to
+    (Vuong 1989, with blocks for samples)."""
+    differences = _by_block(rival) - _by_block(best)
+    scatter = float(np.sqrt(np.sum(differences**2)))
+    return float(np.sum(differences)) > THROUGHOUT * scatter
+
+
+def _by_block(result: Fit) -> np.ndarray:
+    """Energy that a fit leaves in each time block, the nominal numbers at their best."""
+    workspace, time = result.workspace, result.workspace.time
+    length = min(BLOCK, float(time[-1] - time[0]) / BLOCKS)
+    blocks = np.tile(((time - time[0]) / length).astype(int), len(workspace.balances.rows))
+    return np.bincount(blocks, (workspace.rest(result.y) * workspace.weights) ** 2)
+
+
+def preferred(best: Fit, planned: Planned, rivals: Sequence[Fit], tied: Sequence[Tie]) -> float:
+    """Probability of a cause against its rivals: from the margin over the best one that is not a tie, shared
+    among ties."""
+    equal = {(tie.effect, tie.joint) for tie in tied}
+    name = planned.effect.name  # a law that contains it is no rival: it says the same, and more
+    others = [
+        r for r in rivals if r.effects[-1].key not in equal and name not in r.effects[-1].effect.contains
+    ]
+    margin = min((score(r) - score(best) for r in others), default=40.0)
+    against = 1.0 / (1.0 + np.exp(-0.5 * np.clip(margin, -40.0, 40.0)))
+    return float(against / (1 + len(tied)))
