@@ -28,15 +28,19 @@ def ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]:
     negligible = FINER_ERROR * (without.energy - best.energy)
     for rival in rivals:
         other = rival.effects[-1]
-        moved = any(e.effect.overrides("delay") for e in (planned, other))
+        delays = [e.effect.overrides("delay") for e in (planned, other)]
+        moved = any(delays)
         margin = TIE + (MOVED if moved else 0.0) + 0.05 * leftover(best)
         behind = score(rival) - score(best)
         if planned.effect.name in other.effect.contains or len(out) >= MOST_TIES:
             continue
         why = ""
+        little = rival.energy - best.energy < negligible
         if behind <= margin:
             why = f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides)"
-        elif rival.energy - best.energy < negligible and not _worse_throughout(best, rival):
+        elif little and all(delays):
+            why = f"fits these data as well to first order in a delay (score {behind:+.1f})"
+        elif little and not _worse_throughout(best, rival):
             why = f"fits these data as well but for single moments (score {behind:+.1f})"
         if why:
             told = f"{why}: with these sensors and this motion both leave the same trace"
