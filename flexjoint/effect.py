@@ -282,6 +282,12 @@ def find(name: str) -> Effect:
     return effects[name]
 
 
+def numbers_beyond(effect: Effect, simple: str) -> list[Param]:
+    """Sizes by which an effect goes beyond one that it `contains`; none where it has others instead."""
+    own, known = {p.name for p in effect.params}, {p.name for p in find(simple).params}
+    return [p for p in effect.nulls if p.name not in known] if known < own else []
+
+
 def plan(
     name: str,
     joint: str | None,

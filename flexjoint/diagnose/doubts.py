@@ -10,7 +10,7 @@ import numpy as np
 from flexjoint.diagnose.fit import Fit
 from flexjoint.diagnose.verdict import SURE
 from flexjoint.diagnosis import Estimation, Finding, Fitted
-from flexjoint.effect import Param, catalogue
+from flexjoint.effect import Param, numbers_beyond
 from flexjoint.parameters import labels
 
 PROBABLE = 0.1  # probability, ties together, below which a cause is not named
@@ -56,11 +56,9 @@ def _finer(best: Fit, finding: Finding, estimation: Estimation) -> bool:
     if effect.contains and any(_any_shape(finding, p) for p in shapes):
         return True
     for name in effect.contains:
-        simple = {p.name for p in catalogue()[name].params}
-        if simple < {p.name for p in effect.params}:
-            added = [p for p in effect.nulls if p.name not in simple]
-            if added and all(_distance(best, finding, p, estimation, ()) < SURE for p in added):
-                return True
+        added = numbers_beyond(effect, name)
+        if added and all(_distance(best, finding, p, estimation, ()) < SURE for p in added):
+            return True
     return False
 
 

@@ -21,7 +21,7 @@ from flexjoint.diagnose.selection import Selection, granted
 from flexjoint.diagnose.shared_numbers import SharedNumbers
 from flexjoint.diagnose.verdict import Errors, Key, certainty
 from flexjoint.diagnose.worth import PRICE_NUMBER, degenerate, price, score
-from flexjoint.effect import Effect, Param, Planned, catalogue
+from flexjoint.effect import Planned, numbers_beyond
 
 PRESENT = 1.0  # standard errors, disagreement counted, by which a common number must differ from none
 DISAGREE = 3.5  # standard errors by which a recording's own number may differ from the common one
@@ -185,18 +185,11 @@ def _sure(nothing: Fit, joint: _Joint) -> bool:
     law that it has: one that contains a simpler law has numbers beyond that one's."""
     errors, nominal = _errors(joint), replace(nothing, effects=joint.effects)
     for e in joint.effects:
-        laws = [e.effect.nulls, *(_beyond(e.effect, name) for name in e.effect.contains)]
+        laws = [e.effect.nulls, *(numbers_beyond(e.effect, name) for name in e.effect.contains)]
         known = [certainty(nominal, e, errors[e.key], numbers) for numbers in laws if numbers]
         if degenerate(nothing.workspace, e) or min(known) < PRESENT:
             return False
     return True
-
-
-def _beyond(effect: Effect, simple: str) -> list[Param]:
-    """Numbers by which an effect goes beyond one that it contains as a special case; none where it has others
-    in their place."""
-    own, known = {p.name for p in effect.params}, {p.name for p in catalogue()[simple].params}
-    return [p for p in effect.nulls if p.name not in known] if known < own else []
 
 
 def _errors(best: _Joint) -> dict[Key, Errors]:

@@ -1,0 +1,62 @@
+"""Rivals that explain a recording as well as the cause that is named, and rivals that do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from diagnose_cases import Case, as_recording, found_in, nominal, summary
+from planting import Planted
+
+from flexjoint.diagnose.balances import balances_of
+from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.ties import ties
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import FINER_ERROR
+from flexjoint.effect import plan
+
+
+@pytest.fixture(scope="module")
+def friction() -> Fit:
+    rubs = Planted("motor_coulomb_friction", "turn", {"level": 0.4})
+    recording = as_recording(Case("turret", "rich", 3).with_causes(rubs))
+    workspace = Workspace(balances_of(nominal("turret"), recording))
+    return fit(workspace, [plan("motor_coulomb_friction", "turn", {"level": 0.4})])
+
+
+def rival_of(best: Fit, error: float, share: slice) -> Fit:
+    """Another law in its place that is off by some deviations of the noise in a share of the recording."""
+    workspace = best.workspace
+    y = best.y.reshape(len(workspace.balances.rows), -1).copy()
+    y[0, share] += error
+    other = plan("link_coulomb_friction", "turn", {"level": 0.4})
+    moved = replace(best, y=y.ravel(), effects=(other,))
+    return replace(moved, energy=best.energy + workspace.energy(moved.y) - workspace.energy(best.y))
+
+
+def test_a_rival_that_is_worse_at_one_moment_only_is_a_tie(friction: Fit) -> None:
+    (cause,) = friction.effects
+    count = friction.y.size // len(friction.workspace.balances.rows)
+    once = rival_of(friction, 8.0, slice(count // 2, count // 2 + 12))
+    always = rival_of(friction, 1.0, slice(None, None, 2))
+    negligible = FINER_ERROR * (fit(friction.workspace, []).energy - friction.energy)
+
+    for rival in (once, always):  # both far from chance, both within the method's error
+        assert 100.0 < rival.energy - friction.energy < negligible
+    assert [tie.effect for tie in ties(friction, cause, [once])] == ["link_coulomb_friction"]
+    assert not ties(friction, cause, [always])
+
+
+def test_a_rival_that_leaves_more_than_the_methods_error_is_none(friction: Fit) -> None:
+    (cause,) = friction.effects
+    count = friction.y.size // len(friction.workspace.balances.rows)
+    worse = rival_of(friction, 400.0, slice(count // 2, count // 2 + 12))
+    assert not ties(friction, cause, [worse])
+
+
+def test_on_one_joint_a_late_torque_is_late_readings() -> None:
+    result = found_in(Case("lever", "rich", 5), Planted("torque_delay", "swing", {"delay": 0.004}))
+    (finding,) = result.findings
+    names = {finding.effect, *(tie.effect for tie in finding.indistinguishable)}
+
+    assert {"torque_delay", "sensor_delay"} <= names, summary(result)
