@@ -299,3 +299,18 @@ def test_numbers_that_no_machine_has_are_no_error() -> None:
 
     assert all(np.isfinite(e.values["offset"]) for e in held(workspace, absurd) if "offset" in e.values)
     assert np.isfinite(judged_energy(workspace, workspace.along(absurd), []))
+
+
+def test_a_law_is_not_named_by_what_it_adds_to_a_simpler_one_that_is_absent() -> None:
+    """A body that sticks and does not rub: noise at rest looks like it."""
+    law = plan("stribeck_friction", "turn", {"level": 0.4, "static_extra": 0.2, "velocity": 0.05})
+    best = fitted(Case("turret", "rich", 3), assumed=(law,))
+    estimation = Estimation("balances", "", ("level", "static_extra", "velocity"), np.eye(3))
+    for level, extra, plainer in ((0.4, 0.2, False), (0.4, 0.002, True), (0.002, 0.2, True)):
+        numbers = {
+            "level": Fitted(level, 0.001, "N m"),
+            "static_extra": Fitted(extra, 0.001, "N m"),
+            "velocity": Fitted(0.05, 0.001, "rad/s"),
+        }
+        finding = Finding("stribeck_friction", "turn", 0.9, numbers, None, 0.9, "friction", law)
+        assert bool(finer(best, [finding], estimation)) is plainer

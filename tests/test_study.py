@@ -225,5 +225,6 @@ def test_healthy_machines_are_left_alone(number: int) -> None:
 def test_a_struck_cause_gets_no_confident_wrong_name(number: int) -> None:
     found = diagnosed(make("struck", number))
     assert struck_outcome(found) != "wrong", misses([found])
-    page = markdown([{**found, "version": "now"}])
+    page = markdown([{**found, "version": "now"}, {**found, "part": "healthy", "version": "then"}])
     assert found["truth"][0]["effect"] in page and "struck" in page
+    assert "code now (1 struck); then (1 healthy)" in page

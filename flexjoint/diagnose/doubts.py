@@ -39,8 +39,9 @@ def vanishing(best: Fit, found: Sequence[Finding], estimation: Estimation | None
 
 
 def finer(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
-    """Findings that are a simpler law with numbers added of which none is known to be there, or with numbers
-    apart that are not known to differ."""
+    """Findings that are a simpler law with numbers added of which none is known to be there, or the numbers
+    added without that law (a static friction where nothing rubs), or with numbers apart that are not known to
+    differ."""
     return tuple(f for f in found if estimation is not None and _finer(best, f, estimation))
 
 
@@ -57,7 +58,8 @@ def _finer(best: Fit, finding: Finding, estimation: Estimation) -> bool:
         return True
     for name in effect.contains:
         added = numbers_beyond(effect, name)
-        if added and all(_distance(best, finding, p, estimation, ()) < SURE for p in added):
+        parts = [added, [p for p in effect.nulls if p not in added]] if added else []
+        if any(all(_distance(best, finding, p, estimation, ()) < SURE for p in part) for part in parts):
             return True
     return False
 

@@ -13,7 +13,7 @@ from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.reliability import left_by, reliability
 from flexjoint.diagnose.selection import Selection, choose
 from flexjoint.diagnose.ties import preferred, ties
-from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, score
+from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, score, worthwhile
 from flexjoint.diagnosis import Finding, Fitted, Ranked, WithinTolerance
 from flexjoint.effect import Kind, Param, Planned
 
@@ -67,13 +67,11 @@ def plainer(selection: Selection, shrunk: Planned) -> Selection:
     rival explains anything."""
     best = selection.best
     k = next(k for k, e in enumerate(best.effects) if e.key == shrunk.key)
-    bare = score(_without(best, best.effects[k]))
+    bare = _without(best, best.effects[k])
     fits = [
         r
         for r in selection.rivals[k]
-        if score(r) < bare
-        and len(r.effects) == len(best.effects)
-        and not degenerate(r.workspace, r.effects[-1])
+        if len(r.effects) == len(best.effects) and worthwhile(r, bare, r.effects[-1])
     ]
     if not fits:
         return without(selection, shrunk)

@@ -83,12 +83,20 @@ def _rate(rate: Rate) -> str:
     return f"{rate.hits}/{rate.cases} = {_percent(rate.share)} ({100 * low:.1f} to {100 * high:.1f})"
 
 
+def _code(records: Sequence[Record]) -> str:
+    """The versions of the code; where there are several, with the parts that each has run."""
+    versions = sorted({r["version"] for r in records})
+    if len(versions) < 2:
+        return "".join(versions)
+    ran = {v: Counter(r["part"] for r in records if r["version"] == v) for v in versions}
+    return "; ".join(f"{v} ({', '.join(f'{n} {part}' for part, n in ran[v].items())})" for v in versions)
+
+
 def _made(records: Sequence[Record]) -> str:
-    versions = ", ".join(sorted({r["version"] for r in records}))
     counts = ", ".join(f"{len(summary.of(records, p))} of {n} {p}" for p, n in COUNTS.items())
     joints = sorted({r["joints"] for r in records})
     return (
-        f"Tables of {date.today().isoformat()}, code {versions}. Cases: {counts}; robots of"
+        f"Tables of {date.today().isoformat()}, code {_code(records)}. Cases: {counts}; robots of"
         f" {', '.join(map(str, joints))} joints.\n"
     )
 
