@@ -151,12 +151,10 @@ class TwinBalances(Balances):
 def balances_of(robot: Robot, recording: Recording) -> TwinBalances:
     """The balances of a recording against a robot, with a denoised twin; RecordingError when the
     sensors do not allow any."""
-    readings = prepare(robot, recording)
-    motion = reconstruct(robot, readings, recording)
-    if robot.file.offsets == "per_recording":
-        readings = centred(robot, readings, motion.rigid.tau)
-        motion = reconstruct(robot, readings, recording)
-    return TwinBalances(motion, reconstruct(robot, denoised(readings), recording))
+    readings = centred(robot, prepare(robot, recording))
+    return TwinBalances(
+        reconstruct(robot, readings, recording), reconstruct(robot, denoised(readings), recording)
+    )
 
 
 def _rows(motion: Motion) -> list[Row]:

@@ -162,14 +162,15 @@ def _shrink(valid: np.ndarray, sigma: float, period: float) -> np.ndarray:
     return ~spread[reach:-reach]
 
 
-def centred(robot: Robot, readings: Readings, load: np.ndarray) -> Readings:
-    """The motors' angles moved so that springs carry on average the torque that is measured, or else the
-    links' `load` (n, samples). What is left of encoder offsets is small then, as laws need it that are not
-    linear in the deflection (a gap, a friction at rest)."""
+def centred(robot: Robot, readings: Readings) -> Readings:
+    """With encoder offsets that are free in each recording: the motors' angles, moved so that springs carry
+    the measured torque on average. What is left of the offsets is small, as laws need it that are not linear
+    in the deflection (a gap, a friction at rest)."""
+    if robot.file.offsets != "per_recording":
+        return readings
     theta = readings.theta.copy()
-    carried = np.where(np.isfinite(readings.tau_t), readings.tau_t, load)
     for i, joint in enumerate(robot.joints):
-        apart = theta[i] - readings.q[i] - carried[i] / joint.drive.K
+        apart = theta[i] - readings.q[i] - readings.tau_t[i] / joint.drive.K
         if not joint.rigid and np.all(np.isfinite(apart)):
             theta[i] -= np.mean(apart[readings.valid])
     return replace(readings, theta=theta)
