@@ -7,11 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.signal import periodogram
 
 from flexjoint.diagnose.fit import Fit, shifts
 from flexjoint.diagnosis import ResidualView, Unexplained
 from flexjoint.effect import Planned, Site
 
+OSCILLATION = 0.1  # share of a leftover that a frequency must explain beyond any signal
+FINER = 4  # times the resolution of the record, to which a frequency is told
 KNOTS = 8  # of the spline through which a leftover is regressed on a signal
 STRAINED = 3.0  # times the predicted noise that a model is granted because its numbers are implausible
 CLEAR = 3.0  # torque tolerances by which a balance must be off to count in the share explained
@@ -79,17 +82,35 @@ def unexplained(best: Fit, residuals: tuple[ResidualView, ...]) -> tuple[Unexpla
 
 
 def depends_on(residual: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
-    """The signal on which a smooth curve explains most of the residual (R^2 of a spline regression)."""
+    """The signal on which a smooth curve explains most of the residual (R^2 of a spline regression); of time,
+    a curve and an oscillation."""
     best, most = "t", -1.0
     for name, x in signals.items():
         if float(np.ptp(x)) <= 0.0:
             continue
         design = _spline(x)
-        fitted = design @ np.linalg.lstsq(design, residual, rcond=1e-9)[0]
-        share = 1.0 - float(np.sum((residual - fitted) ** 2)) / max(float(np.sum(residual**2)), 1e-300)
+        share = _explained(residual, design)
+        if name == "t":
+            # a motion that repeats itself oscillates, too: time must explain clearly more than its signals
+            share = max(share, _explained(residual, np.hstack([design, _line(residual, x)])) - OSCILLATION)
         if share > most:
             best, most = name, share
     return best
+
+
+def _explained(residual: np.ndarray, design: np.ndarray) -> float:
+    """R^2 of a regression of the residual on columns (N, k)."""
+    fitted = design @ np.linalg.lstsq(design, residual, rcond=1e-9)[0]
+    return 1.0 - float(np.sum((residual - fitted) ** 2)) / max(float(np.sum(residual**2)), 1e-300)
+
+
+def _line(residual: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(N, 2) cosine and sine of the residual's strongest frequency."""
+    centred = residual - np.mean(residual)
+    step = float(np.median(np.diff(t)))
+    frequency, power = periodogram(centred, 1.0 / step, window="hann", nfft=FINER * residual.size)
+    angle = 2.0 * np.pi * frequency[int(np.argmax(power))] * t
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def _spline(x: np.ndarray) -> np.ndarray:
