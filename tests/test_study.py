@@ -207,6 +207,19 @@ def test_a_stopped_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         study_run.run(tmp_path, parts=("double",))
 
 
+def test_a_finding_stands_for_one_of_two_causes() -> None:
+    """A tilted base is tied with either of two offsets that were named: with the one that is left."""
+    tilt = ["base_tilt", None]
+    first = finding("spring_preload", ties=[["motor_encoder_offset", "swing"], tilt])
+    second = finding("link_encoder_offset", ties=[tilt])
+    both = record(first, second)
+    truth = dict(both["truth"][0], parameters={"offset": 2.0})
+    causes = [dict(truth, effect="motor_encoder_offset"), dict(truth, effect="base_tilt", joint=None)]
+
+    assert outcome({**both, "truth": causes, "joints": 2}) == "tied"
+    assert outcome({**both, "truth": causes[:1], "joints": 2}) == "partial"
+
+
 # --- the sample -------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("part", "number"), NAMED)
 def test_planted_causes_are_named(part: str, number: int) -> None:

@@ -59,15 +59,18 @@ def key(entry: Record) -> Key:
 
 
 def matches(record: Record) -> list[Match]:
-    """Every planted cause with the finding that stands for it."""
+    """Every planted cause with the finding that stands for it, each for one of them where that can be."""
     found: Sequence[Record] = record.get("findings", ())
-    out = []
+    out: list[Match] = []
     for truth in record["truth"]:
         own = [f for f in found if key(f) == key(truth) or _for_all(f, truth, record)]
         ties = [f for f in found if list(key(truth)) in f["ties"]]
         equal = [f for f in found if f["joint"] == truth["joint"] and _same(f["effect"], truth["effect"])]
         kinds = (("exact", own), ("tied", ties), ("equivalent", equal))
-        kind, finding = next(((k, fs[0]) for k, fs in kinds if fs), ("missed", None))
+        taken = [id(m.finding) for m in out]
+        kind, finding = next(
+            ((k, min(fs, key=lambda f: id(f) in taken)) for k, fs in kinds if fs), ("missed", None)
+        )
         out.append(Match(truth, kind, finding))
     return out
 
