@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from flexjoint.diagnose.dry_friction import REST_SPEED, DryFriction
+from flexjoint.diagnose.joint_readings import JointReadings
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.recent import Recent
-from flexjoint.diagnose.signals import reach_of_ends, wiener
+from flexjoint.diagnose.signals import reach_of_ends
 from flexjoint.diagnose.states import state_along
 from flexjoint.effect import Drive, Planned, Signals, Site
 
@@ -52,12 +52,12 @@ class Chains:
         self.floating = motion.robot.file.offsets == "per_recording"
         self.calm: Chains | None = None  # of the same motion without its sensors' noise
         self._recent: Recent[Chain] = Recent()
-        self._bases: dict[int, Base] = {}
+        self._bases: dict[int, JointReadings] = {}
         self.friction = DryFriction(motion.filter, motion.readings.sigma)
 
-    def base(self, i: int) -> Base:
+    def base(self, i: int) -> JointReadings:
         if i not in self._bases:
-            self._bases[i] = Base(self.motion, i)
+            self._bases[i] = JointReadings(self.motion, i)
         return self._bases[i]
 
     def get(self, i: int, effects: Sequence[Planned]) -> Chain:
@@ -329,59 +329,6 @@ class Chains:
 
     def _time(self, spectrum: np.ndarray) -> np.ndarray:
         return fft.irfft(spectrum, self.filter.size)[: self.filter.count]
-
-
-class Base:
-    """What of a joint's readings does not depend on any effect, computed once."""
-
-    def __init__(self, motion: Motion, i: int) -> None:
-        window, readings = motion.filter, motion.readings
-        self.q, self.theta, self.tau_t = motion.q[i], motion.theta[i], readings.tau_t[i]
-        self._window, self._drive = window, motion.robot.joints[i].drive
-        self._readings, self._joint = readings, i
-        self.driven = bool(np.isfinite(readings.torque[i, 0]))
-        self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
-        self.torque_hat = window.spectrum(self.torque) * window.gain
-        self.q_hat = window.spectrum(self.q) * window.gain
-        self.theta_hat = window.spectrum(self.theta) * window.gain
-        measured = bool(np.isfinite(self.tau_t[0]))
-        self.reading = window.spectrum(self.tau_t) * window.gain if measured else np.zeros_like(self.q_hat)
-
-    @cached_property
-    def spring_hat(self) -> np.ndarray:
-        """Spectrum of the torque of the nominal spring."""
-        s = 1j * self._window.omega
-        return np.asarray((self._drive.K + self._drive.D * s) * (self.theta_hat - self.q_hat))
-
-    @cached_property
-    def spring(self) -> np.ndarray:
-        return np.asarray(fft.irfft(self.spring_hat, self._window.size)[: self._window.count])
-
-    @cached_property
-    def shaft_hat(self) -> np.ndarray:
-        """Spectrum of what the nominal motor needs for its own motion."""
-        s = 1j * self._window.omega
-        return np.asarray((self._drive.B * s**2 + self._drive.D_m * s) * self.theta_hat)
-
-    @cached_property
-    def noise(self) -> Signals:
-        """What a Wiener filter takes for noise in q, theta and phi, each by itself (what differs between two
-        filters would be a deflection), and in their rates."""
-        readings, smooth = self._readings, self._window.smooth
-        size = {name: float(readings.noise[name][self._joint]) for name in ("q", "theta")}
-        size["phi"] = float(np.hypot(size["q"], size["theta"]))
-        signals = {"q": self.q, "theta": self.theta, "phi": self.theta - self.q}
-        noise = {name: x - wiener(x, size[name], readings.period) for name, x in signals.items()}
-        rates = {f"d{name}": smooth(x, 1) for name, x in noise.items()}
-        return Signals(**noise, **rates)
-
-    @cached_property
-    def dq(self) -> np.ndarray:
-        return self._window.smooth(self.q, 1)
-
-    @cached_property
-    def dtheta(self) -> np.ndarray:
-        return self._window.smooth(self.theta, 1)
 
 
 def _later(x: np.ndarray, samples: float) -> np.ndarray:

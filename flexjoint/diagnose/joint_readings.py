@@ -1,0 +1,65 @@
+"""One joint's readings, filtered: what its torque balances begin with."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+
+from flexjoint.diagnose.motion import Motion
+from flexjoint.diagnose.signals import wiener
+from flexjoint.effect import Signals
+
+
+class JointReadings:
+    """What of a joint's readings does not depend on any effect, computed once."""
+
+    def __init__(self, motion: Motion, i: int) -> None:
+        window, readings = motion.filter, motion.readings
+        self.q, self.theta, self.tau_t = motion.q[i], motion.theta[i], readings.tau_t[i]
+        self._window, self._drive = window, motion.robot.joints[i].drive
+        self._readings, self._joint = readings, i
+        self.driven = bool(np.isfinite(readings.torque[i, 0]))
+        self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
+        self.torque_hat = window.spectrum(self.torque) * window.gain
+        self.q_hat = window.spectrum(self.q) * window.gain
+        self.theta_hat = window.spectrum(self.theta) * window.gain
+        measured = bool(np.isfinite(self.tau_t[0]))
+        self.reading = window.spectrum(self.tau_t) * window.gain if measured else np.zeros_like(self.q_hat)
+
+    @cached_property
+    def spring_hat(self) -> np.ndarray:
+        """Spectrum of the torque of the nominal spring."""
+        s = 1j * self._window.omega
+        return np.asarray((self._drive.K + self._drive.D * s) * (self.theta_hat - self.q_hat))
+
+    @cached_property
+    def spring(self) -> np.ndarray:
+        return np.asarray(fft.irfft(self.spring_hat, self._window.size)[: self._window.count])
+
+    @cached_property
+    def shaft_hat(self) -> np.ndarray:
+        """Spectrum of what the nominal motor needs for its own motion."""
+        s = 1j * self._window.omega
+        return np.asarray((self._drive.B * s**2 + self._drive.D_m * s) * self.theta_hat)
+
+    @cached_property
+    def noise(self) -> Signals:
+        """What a Wiener filter takes for noise in q, theta and phi, each by itself (what differs between two
+        filters would be a deflection), and in their rates."""
+        readings, smooth = self._readings, self._window.smooth
+        size = {name: float(readings.noise[name][self._joint]) for name in ("q", "theta")}
+        size["phi"] = float(np.hypot(size["q"], size["theta"]))
+        signals = {"q": self.q, "theta": self.theta, "phi": self.theta - self.q}
+        noise = {name: x - wiener(x, size[name], readings.period) for name, x in signals.items()}
+        rates = {f"d{name}": smooth(x, 1) for name, x in noise.items()}
+        return Signals(**noise, **rates)
+
+    @cached_property
+    def dq(self) -> np.ndarray:
+        return self._window.smooth(self.q, 1)
+
+    @cached_property
+    def dtheta(self) -> np.ndarray:
+        return self._window.smooth(self.theta, 1)
