@@ -132,7 +132,7 @@ class PinLoop:
         self._runner.take(model)
 
     def take_law(self) -> None:
-        pass  # read at every tick
+        """Nothing to take: the law is read at every tick."""
 
     def _command(self, now: Runner) -> np.ndarray:
         if not self._ticks.acts(now.done):

@@ -49,7 +49,7 @@ class Trace:
     start: Mapping[str, Any]
     bands: tuple[Band, ...]
     whitening: Whitening
-    kind: str  # amplitudes | whole | phase | inertial
+    kind: str  # amplitudes | whole | phase
     trial: Mapping[str, float]
     origin: Mapping[str, float]  # values at amplitude 0: null, or what the nominal model lists
 

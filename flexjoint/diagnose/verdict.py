@@ -64,7 +64,7 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
 
 def plainer(selection: Selection, shrunk: Planned) -> Selection:
     """The selection with its best rival in the place of a law that has shrunk, or without that law where no
-    rival explains anything."""
+    rival is worth its price."""
     best = selection.best
     k = next(k for k, e in enumerate(best.effects) if e.key == shrunk.key)
     bare = _without(best, best.effects[k])
