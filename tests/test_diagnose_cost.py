@@ -13,7 +13,7 @@ from planting import Planted
 from flexjoint.diagnose import chain, diagnose, scan
 from flexjoint.diagnose import workspace as workspaces
 from flexjoint.diagnose.balances import balances_of
-from flexjoint.diagnose.candidates import enumerate_candidates
+from flexjoint.diagnose.candidates import Candidate, enumerate_candidates, may_replace
 from flexjoint.diagnose.crew import crew
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.recent import Recent
@@ -21,7 +21,7 @@ from flexjoint.diagnose.scan import Scanner
 from flexjoint.diagnose.shared_numbers import SharedNumbers
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import to_json
-from flexjoint.effect import catalogue, plan
+from flexjoint.effect import Site, catalogue, plan
 
 GAP = Planted("backlash", "elbow", {"gap": 0.009})
 KEPT = ("backlash", "cogging", "link_coulomb_friction", "payload", "base_tilt", "sensor_delay")
@@ -137,3 +137,24 @@ def test_shared_numbers_are_paid_for_once() -> None:
     assert joint < 1.6 * here.energy(y)  # not twice: 9 against 18 where the number is well seen
     apart = 2.0 * here.energy(y) + shared.surplus([y, -y])
     assert apart > 100.0 * joint  # it cannot be off by both
+
+
+def marked(candidate: Candidate) -> set[int]:
+    """Balances that change with the effect at some small size."""
+    sizes = {p.name: (p.null or 0.0) + min(p.step, 0.1) for p in candidate.effect.nulls if p.size == 1}
+    there = workspace().with_nominal([candidate.planned(sizes)])
+    changed = workspace().balances.changed(workspace().with_nominal([]), there)
+    return {row for row, spectrum in changed.items() if np.any(spectrum)}
+
+
+def test_what_is_not_tried_as_a_rival_shares_no_balance_with_the_cause() -> None:
+    candidates = enumerate_candidates(workspace())
+    marks = {c: marked(c) for c in candidates}
+    left_out = 0
+    for cause in candidates:
+        for other in candidates:
+            if not may_replace(other, cause.planned({})) and other.effect.site is not Site.SENSOR:
+                assert not marks[cause] & marks[other], (cause.key, other.key)
+                left_out += 1
+    assert left_out > 500
+    assert sum(bool(rows) for rows in marks.values()) > 0.9 * len(candidates)

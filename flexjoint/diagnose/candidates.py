@@ -140,6 +140,14 @@ def _sensed(workspace: Workspace, candidate: Candidate, i: int, rows: set[str]) 
     return any(readings[c] for c in concerned)
 
 
+def may_replace(candidate: Candidate, e: Planned) -> bool:
+    """Whether a candidate could leave the marks of an effect: one that acts within a joint marks the balances
+    of that joint alone, and only what acts there, or through the bodies, does so too."""
+    if e.joint is None or e.effect.site in (Site.BODY, Site.SENSOR):  # an encoder's angle moves the bodies
+        return True
+    return candidate.joint in (e.joint, None) or candidate.effect.site is Site.BODY
+
+
 def _moves(workspace: Workspace, i: int) -> bool:
     """Whether a joint's position changes by more than its sensors' noise."""
     used, noise = workspace.readings.valid, workspace.readings.noise

@@ -88,8 +88,9 @@ class Chains:
         nominal = drive is joint.drive and not sensed
         signals = Signals(t=self.t, q=q, theta=theta, phi=theta - q, tau_m=torque)
         if effects:
-            signals.dtheta = self._time(s * theta_hat) if sensed else base.dtheta
-            signals.dq = self._time(s * q_hat) if sensed else base.dq
+            signals.dtheta, signals.dq = base.dtheta, base.dq
+            if sensed:
+                signals.dtheta, signals.dq = self._times(s * theta_hat, s * q_hat)
             signals.dphi = signals.dtheta - signals.dq
         spring_hat = np.zeros_like(theta_hat)
         if not joint.rigid:
@@ -238,11 +239,13 @@ class Chains:
         dry = [e for e in effects if e.effect.overrides("level")]
         if not dry:
             return 0.0
-        net = self._time(torque_hat) - self.motion.rigid.tau[i]
-        calm_net = net
+        load = self.motion.rigid.tau[i]
         if self.calm is not None and calm is not None:
             own = calm.motor if self.motion.robot.joints[i].rigid else calm.spring_torque
-            calm_net = self._time(own + calm.link) - self.calm.motion.rigid.tau[i]
+            net, calm_net = self._times(torque_hat, own + calm.link)
+            net, calm_net = net - load, calm_net - self.calm.motion.rigid.tau[i]
+        else:
+            net = calm_net = self._time(torque_hat) - load
         if self.floating:
             net, calm_net = net - np.mean(net), calm_net - np.mean(calm_net)
         return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i), self._noise(i))
@@ -261,9 +264,11 @@ class Chains:
             return 0.0
         rigid = self.motion.robot.joints[i].rigid
         inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
-        net = calm_net = self._time(net_hat)
         if self.calm is not None and calm is not None:
-            calm_net = self._time(calm.motor - self.calm._load(i, calm.spring_torque, calm.link))
+            calm_hat = calm.motor - self.calm._load(i, calm.spring_torque, calm.link)
+            net, calm_net = self._times(net_hat, calm_hat)
+        else:
+            net = calm_net = self._time(net_hat)
         return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia, self._noise(i))
 
     def _noise(self, i: int) -> float:
@@ -329,6 +334,10 @@ class Chains:
 
     def _time(self, spectrum: np.ndarray) -> np.ndarray:
         return fft.irfft(spectrum, self.filter.size)[: self.filter.count]
+
+    def _times(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """(2, N) the same of two spectra at once, which takes little longer than of one."""
+        return fft.irfft(np.array([one, other]), self.filter.size)[:, : self.filter.count]
 
 
 def _later(x: np.ndarray, samples: float) -> np.ndarray:

@@ -31,9 +31,9 @@ class DryFriction:
         jomega = 1j * window.omega
         # noise of a filtered speed, per unit of white noise in the position
         self._speed_noise = float(np.sqrt(np.mean((window.omega * window.gain) ** 2)))
-        # what the filter takes away, and its integral
-        self._lost, nothing = 1.0 - window.gain, np.zeros_like(jomega)
-        self._lost_integral = np.divide(self._lost, jomega, out=nothing, where=window.omega > 0)
+        # what the filter takes away, and its integral: (2, F), as two transforms at once take little longer
+        lost, nothing = 1.0 - window.gain, np.zeros_like(jomega)
+        self._lost = np.array([lost, np.divide(lost, jomega, out=nothing, where=window.omega > 0)])
 
     def rest_speed(self, level: np.ndarray, inertia: float, noise: float) -> float:
         """[rad/s] below which a filtered speed's sign does not tell where a body goes, from the friction's
@@ -60,19 +60,17 @@ class DryFriction:
         """
         window = self._window
         most = self.held * level
+        least = -most
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
-        reach = 2 * int(np.ceil(CALM_SIGMAS * self._sigma / self._window.period)) + 1
+        reach = 2 * int(np.ceil(CALM_SIGMAS * self._sigma / window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
             moving = np.abs(sharp_speed) > rest
             near = maximum_filter1d(moving, reach)
-            held = np.clip(np.where(near, sharp_net, calm_net + lost), -most, most)
+            held = np.clip(np.where(near, sharp_net, calm_net + lost), least, most)
             friction = np.where(moving, level * np.sign(sharp_speed), held)
             spectrum = window.spectrum(friction)
             if further:
-                lost = self._time(spectrum * self._lost)
+                lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 sharp_net = net + lost
-                sharp_speed = speed - self._time(spectrum * self._lost_integral) / inertia
+                sharp_speed = speed - integral / inertia
         return -spectrum * window.gain
-
-    def _time(self, spectrum: np.ndarray) -> np.ndarray:
-        return fft.irfft(spectrum, self._window.size)[: self._window.count]

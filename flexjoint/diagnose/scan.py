@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from flexjoint.diagnose.candidates import Candidate, Trace, traces
+from flexjoint.diagnose.candidates import Candidate, Trace, may_replace, traces
 from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.crew import Crew
 from flexjoint.diagnose.fit import Fit
@@ -84,6 +84,7 @@ class _Share:
     parts: tuple[tuple[int, ...], ...]
     currents: tuple[Fit, ...]
     processes: int
+    replaced: Planned | None  # scanned are only candidates that may take its place; None: all
 
 
 class Scanner:
@@ -98,15 +99,22 @@ class Scanner:
         self._traces: dict[object, list[_Kept]] = {}
         self._bytes = 0
 
-    def scan(self, current: Fit, crew: Crew | None = None) -> tuple[Scored, ...]:
-        """Best start of every candidate on top of a fitted set, best first."""
-        return self.scans([current], crew)[0]
+    def scan(
+        self, current: Fit, crew: Crew | None = None, replaced: Planned | None = None
+    ) -> tuple[Scored, ...]:
+        """Best start of every candidate on top of a fitted set, best first; where an effect is to be
+        `replaced`, of those that may."""
+        return self.scans([current], crew, replaced)[0]
 
-    def scans(self, currents: Sequence[Fit], crew: Crew | None = None) -> list[tuple[Scored, ...]]:
+    def scans(
+        self, currents: Sequence[Fit], crew: Crew | None = None, replaced: Planned | None = None
+    ) -> list[tuple[Scored, ...]]:
         """The same on top of each of some fits of one set: traces that they share are made once. A crew that
         knows the scanner shares the work; each of it remembers what it made."""
         count = 1 if crew is None else crew.size
-        shares = [_Share(tuple(self._parts[k::count]), tuple(currents), count) for k in range(count)]
+        shares = [
+            _Share(tuple(self._parts[k::count]), tuple(currents), count, replaced) for k in range(count)
+        ]
         found = [self.scored(shares[0])] if crew is None else crew.map(self.scored, shares)
         out = []
         for k in range(len(currents)):
@@ -121,6 +129,8 @@ class Scanner:
         taken = {e.key for e in share.currents[0].effects}
         for part in share.parts:
             waiting = [k for k in part if self.candidates[k].key not in taken]
+            if share.replaced is not None:
+                waiting = [k for k in waiting if may_replace(self.candidates[k], share.replaced)]
             every = (t for k in waiting for t in self._traced(k, against, share.processes))
             for batch in _batches(every):
                 self._score_batch(batch, against, best)

@@ -29,7 +29,7 @@ FILTERED = 1e-5  # share of the explained energy by which laws differ as filtere
 FILTERED_BLIND = (
     1e-4  # ... and where a position is made of the nominal model, which is known to first order only
 )
-MOST_EFFECTS = 12
+MOST_EFFECTS, MOST_A_JOINT = 12, 3  # the larger of both
 MOST_EXCHANGES = 4
 
 Progress = Callable[[float, str], None]
@@ -53,8 +53,8 @@ class Search:
     scanner: Scanner
     crew: Crew
 
-    def scan(self, current: Fit) -> tuple[Scored, ...]:
-        return self.scanner.scan(current, self.crew)
+    def scan(self, current: Fit, replaced: Planned) -> tuple[Scored, ...]:
+        return self.scanner.scan(current, self.crew, replaced)
 
 
 def select(
@@ -81,7 +81,7 @@ def _select(workspace: Workspace, search: Search, report: Progress, start: Seque
         report(0.9, "comparing rival causes")
         best, rivals = exchange(search, best, best.effects)
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.crew)
-        if not pairs or len(best.effects) >= MOST_EFFECTS:
+        if not pairs or len(best.effects) >= most_effects(workspace):
             break
         pair = prune(choose(pairs))
         if _keys(pair) in seen:
@@ -101,7 +101,7 @@ def _grown(
 ) -> Fit:
     """The set with causes added one by one, as long as one is better than none; sets that were `seen` are not
     looked at again."""
-    while len(best.effects) < MOST_EFFECTS:
+    while len(best.effects) < most_effects(best.workspace):
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.crew)
@@ -118,6 +118,10 @@ def _grown(
             search, best, [e for e in best.effects if e.joint == newest.joint and e is not newest]
         )
     return best
+
+
+def most_effects(workspace: Workspace) -> int:
+    return max(MOST_EFFECTS, MOST_A_JOINT * len(workspace.robot.joints))
 
 
 def _keys(result: Fit) -> frozenset[tuple[str, str | None]]:
@@ -152,12 +156,12 @@ def exchange(
     exchanges = 0  # bounded, so that two equals do not alternate for ever
     while waiting:
         key = waiting.pop(0)
-        others = [e for e in result.effects if e.key != key]
-        if len(others) == len(result.effects):
+        replaced = next((e for e in result.effects if e.key == key), None)
+        if replaced is None:
             continue
-        without = fit(result.workspace, others)
+        without = fit(result.workspace, [e for e in result.effects if e is not replaced])
         needed = without.energy - result.energy
-        tried = polish(without, search.scan(without), needed, search.crew)
+        tried = polish(without, search.scan(without, replaced), needed, search.crew)
         fits = [f for f in tried if f.effects[-1].key != key]
         fits = [f for f in fits if not contradicted(f, without)]
         fits += [alone for f in fits for alone in containing(f, key[0])]
