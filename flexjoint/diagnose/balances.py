@@ -157,6 +157,12 @@ def balances_of(robot: Robot, recording: Recording) -> TwinBalances:
     )
 
 
+def acts_within_a_joint(e: Planned) -> bool:
+    """Whether an effect changes the balances of its own joint only: a body's load, and an encoder's angle,
+    by which bodies are moved, change those of others."""
+    return e.joint is not None and e.effect.site not in (Site.BODY, Site.SENSOR)
+
+
 def _rows(motion: Motion) -> list[Row]:
     rows = []
     for i, joint in enumerate(motion.robot.joints):

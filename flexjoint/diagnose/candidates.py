@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from flexjoint.diagnose.balances import LINK, MOTOR, SPRING
+from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, acts_within_a_joint
 from flexjoint.diagnose.whitening import Band, Whitening
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Effect, Param, Planned, Site, catalogue
@@ -143,7 +143,7 @@ def _sensed(workspace: Workspace, candidate: Candidate, i: int, rows: set[str]) 
 def may_replace(candidate: Candidate, e: Planned) -> bool:
     """Whether a candidate could leave the marks of an effect: one that acts within a joint marks the balances
     of that joint alone, and only what acts there, or through the bodies, does so too."""
-    if e.joint is None or e.effect.site in (Site.BODY, Site.SENSOR):  # an encoder's angle moves the bodies
+    if not acts_within_a_joint(e):
         return True
     return candidate.joint in (e.joint, None) or candidate.effect.site is Site.BODY
 

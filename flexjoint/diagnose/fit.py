@@ -9,13 +9,17 @@ from typing import Any
 
 import numpy as np
 
+from flexjoint.diagnose.balances import acts_within_a_joint
 from flexjoint.diagnose.deviations import held, judged_energy, settled
 from flexjoint.diagnose.nuisance import entangles
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.effect import Param, Planned
+from flexjoint.effect import Param, Planned, Site
 
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
+NEAR = (
+    0.01  # relative change of its joint's numbers up to which a derivative is kept: a step is hardly another
+)
 FACTOR_SPREAD = 0.7  # of the logarithm of a factor on a nominal number: two is one deviation
 POSITION_SPREAD = 0.5  # m, a weak prior that holds components of a position which the data do not see
 
@@ -90,57 +94,105 @@ def _descend(
     """Values at the nearest minimum of the energy, the residual there and its derivatives."""
     y = workspace.residual(current)
     energy = workspace.energy(y) + _prior(slots, current)
-    damping, jacobian = 1e-3, jacobian_of(workspace, current, slots)
+    damping, taken = 1e-3, current  # where each column was taken
+    jacobian = jacobian_of(workspace, current, slots)
     for _ in range(iterations):
         normal, slope = normal_equations(workspace, jacobian, y, slots, current)
-        while damping < 1e8:
-            trial = _step(current, slots, normal, slope, damping)
+        enough, better = CONVERGED + 1e-6 * energy, False
+        while not better and damping < 1e8:
+            trial, promised = _step(current, slots, normal, slope, damping)
+            if promised < enough:
+                break
             trial_y = workspace.residual(trial)
             trial_energy = workspace.energy(trial_y) + _prior(slots, trial)
-            if np.isfinite(trial_energy) and trial_energy < energy:
-                break
-            damping *= 10.0
-        else:
+            better = bool(np.isfinite(trial_energy)) and trial_energy < energy
+            if not better:
+                damping *= 10.0
+        if not better:
             break
         gained = energy - trial_energy
         current, y, energy = trial, trial_y, trial_energy
         damping = max(damping * 0.1, 1e-9)
-        jacobian = jacobian_of(workspace, current, slots)
-        if gained < CONVERGED + 1e-6 * energy:
+        jacobian, taken = _followed(workspace, current, slots, jacobian, taken)
+        if gained < enough:
             break
     return current, y, jacobian
 
 
 def _step(
     current: list[Planned], slots: Sequence[Slot], normal: np.ndarray, slope: np.ndarray, damping: float
-) -> list[Planned]:
-    """A damped Gauss-Newton step in scaled numbers, clipped into the bounds."""
+) -> tuple[list[Planned], float]:
+    """A damped Gauss-Newton step in scaled numbers, clipped into the bounds, and the energy that it would
+    gain were all linear."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(size, size) + damping * np.eye(len(slots))
     step = -np.linalg.lstsq(scaled, slope / size, rcond=1e-12)[0] / size
-    trial = list(current)
-    for slot, number in zip(slots, step, strict=True):
-        moved = slot.get(current) + float(number)
-        slot.put(trial, float(np.clip(moved, slot.param.low, slot.param.high)))
-    return trial
+    trial, moved = list(current), np.zeros(len(slots))
+    for k, (slot, number) in enumerate(zip(slots, step, strict=True)):
+        here = slot.get(current)
+        there = float(np.clip(here + float(number), slot.param.low, slot.param.high))
+        slot.put(trial, there)
+        moved[k] = there - here
+    return trial, float(-2.0 * slope @ moved - moved @ normal @ moved)
 
 
 def jacobian_of(workspace: Workspace, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:
-    """(slots, samples) derivatives of the residual, remembered: at another level they are the same."""
-    return workspace.remembered("jacobian", effects, lambda: _jacobian(workspace, effects, slots))
+    """(slots, samples) derivatives of the residual."""
+    return np.array([_column(workspace, effects, slot) for slot in slots])
 
 
-def _jacobian(workspace: Workspace, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:
-    rows = []
-    for slot in slots:
-        here = slot.get(effects)
-        step = step_of(workspace, slot, effects)
-        if here + step > slot.param.high:
+def _column(workspace: Workspace, effects: Sequence[Planned], slot: Slot) -> np.ndarray:
+    """(samples,) derivative of the residual by one slot, remembered by the effects that it depends on: at
+    another level it is the same."""
+    around = _around(effects, effects[slot.effect])
+    place = next(k for k, e in enumerate(around) if e is effects[slot.effect])
+    own = replace(slot, effect=place)
+
+    def derivative() -> np.ndarray:
+        here, step = own.get(around), step_of(workspace, own, around)
+        if here + step > own.param.high:
             step = -step
-        moved = list(effects)
-        slot.put(moved, here + step)
-        rows.append(workspace.moved(effects, moved) / step)
-    return np.array(rows)
+        moved = list(around)
+        own.put(moved, here + step)
+        return workspace.moved(around, moved) / step
+
+    return workspace.remembered(f"by {place} {slot.param.name} {slot.component}", around, derivative)
+
+
+def _around(effects: Sequence[Planned], e: Planned) -> list[Planned]:
+    """The effects that the trace of an effect depends on: of one that acts within its joint, those of that
+    joint."""
+    if not acts_within_a_joint(e):
+        return list(effects)
+    return [other for other in effects if other.joint == e.joint and other.effect.site is not Site.BODY]
+
+
+def _followed(
+    workspace: Workspace,
+    effects: Sequence[Planned],
+    slots: Sequence[Slot],
+    jacobian: np.ndarray,
+    taken: Sequence[Planned],
+) -> tuple[np.ndarray, list[Planned]]:
+    """The derivatives where the effects are now, and the effects that they were taken at: those of effects
+    near which nothing has moved but by little are kept. With many causes, most are."""
+    far = {e.key for e, before in zip(effects, taken, strict=True) if not _near(e, before)}
+    anew = [any(other.key in far for other in _around(effects, e)) for e in effects]
+    at = [e if new else before for e, before, new in zip(effects, taken, anew, strict=True)]
+    columns = [
+        _column(workspace, effects, slot) if anew[slot.effect] else row
+        for slot, row in zip(slots, jacobian, strict=True)
+    ]
+    return np.array(columns), at
+
+
+def _near(e: Planned, before: Planned) -> bool:
+    """Whether no number of an effect is far from what it was."""
+    for param in e.effect.params:
+        now, then = (np.ravel(one.values[param.name]) for one in (e, before))
+        if np.any(np.abs(now - then) > NEAR * (1.0 if param.wraps else np.abs(then))):
+            return False
+    return True
 
 
 def step_of(workspace: Workspace, slot: Slot, effects: Sequence[Planned]) -> float:

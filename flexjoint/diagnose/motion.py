@@ -275,13 +275,14 @@ def along(
     )
 
 
-def mass_along(motion: Motion, inertial: np.ndarray) -> np.ndarray:
-    """(N, n, n) mass matrices along the filtered motion with other inertial parameters (bodies, 10)."""
+def mass_along(motion: Motion, inertial: np.ndarray, every: int) -> np.ndarray:
+    """(N / every, n, n) mass matrices along the filtered motion, of every so many samples, with other
+    inertial parameters (bodies, 10)."""
     robot = motion.robot
     at, _, _ = whole_motion(robot, motion.filter, motion.q, motion.passive, 1.0)
     body = PinBody(robot.model, inertial=inertial)
     pick = np.ix_(*2 * [[joint.idx_v for joint in robot.joints]])
-    return np.array([body.mass_matrix(row)[pick] for row in at])
+    return np.array([body.mass_matrix(row)[pick] for row in at[::every]])
 
 
 def _back(window: Filter, spectrum: np.ndarray) -> np.ndarray:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
+from flexjoint.diagnose.chain import identity
+from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.whitening import Band, Whitening
 from flexjoint.effect import Drive, Effect, Param, Planned, Site, plan
 from flexjoint.robot import Robot
@@ -16,6 +19,7 @@ from flexjoint.robot import Robot
 OFFSET_SPREAD = 0.2  # rad, standard deviation of an encoder offset that is free in each recording
 TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
 OTHER_COMPONENT = 0.1  # a centre of mass is trusted in its small components to this share of its length
+REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,7 @@ class Columns:
         self.balances, self.whitening = balances, whitening
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.nuisance: list[Nuisance] = []
+        self._recent: Recent[Band] = Recent()
         self.samples = whitening.time.size * len(balances.rows)
         columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
         if self.robot.file.offsets == "per_recording":
@@ -197,10 +202,15 @@ class Columns:
         for joint, own in self.entangled(effects).items():
             for k, number in enumerate(self.nuisance):
                 if number.joint == joint and number.name in NUMBERS:
-                    off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: number.spread}
-                    changed = self.balances.changed(own, [*own, Planned(DriveDeviation(), joint, off)])
-                    out[k] = self.whitening.white(self.whitening.band(changed)).ravel()
+                    key = (number.name, joint, *(identity(e) for e in own))
+                    make = partial(self._beside, own, joint, number)
+                    out[k] = self.whitening.white(self._recent.get(key, make, REMEMBERED)).ravel()
         return out
+
+    def _beside(self, own: Sequence[Planned], joint: str, number: Nuisance) -> Band:
+        """Trace of a joint's number beside effects of that joint, before it is whitened."""
+        off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: number.spread}
+        return self.whitening.band(self.balances.changed(own, [*own, Planned(DriveDeviation(), joint, off)]))
 
     def load_band(self, torque: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (n, N) of the rigid-body torques."""

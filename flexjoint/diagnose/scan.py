@@ -25,6 +25,7 @@ ONSET_SECONDS = 1.0  # beside an end of the recording, or a tenth of it, where n
 ONSET_MARGIN = 0.05  # share by which a dated trace must be better to be preferred
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are remembered between scans
+ROUNDED = 256.0  # steps of a number's mantissa, which is 0.5 to 1
 PART = 6  # candidates that are taken at a time
 BATCH = 16  # columns whose products are taken together
 
@@ -155,7 +156,7 @@ class Scanner:
         # a trace depends on the effects of its own joint only (a body's is fitted to the residual)
         alike: dict[object, list[int]] = {}
         for place, one in enumerate(against):
-            own = tuple(identity(e) for e in one.base if e.joint == candidate.joint)
+            own = tuple(identity(e) for e in one.around(candidate))
             shared = not candidate.effect.overrides("edit_inertial")
             alike.setdefault(own if shared else place, []).append(place)
         for places in alike.values():
@@ -166,7 +167,7 @@ class Scanner:
         self, candidate: Candidate, against: _Against, processes: int
     ) -> Iterator[tuple[_Kept, np.ndarray]]:
         current, base = against.current, against.base
-        workspace, own = current.workspace, [e for e in base if e.joint == candidate.joint]
+        workspace, own = current.workspace, against.around(candidate)
         if candidate.effect.overrides("edit_inertial"):
             yield from (_kept(t) for t in traces(workspace, candidate, base, current.y))
             return
@@ -247,6 +248,7 @@ class _Against:
     def __init__(self, current: Fit) -> None:
         workspace = current.workspace
         self.current, self.base = current, workspace.with_nominal(current.effects)
+        self._rounded = workspace.with_nominal([rounded(e) for e in current.effects])
         self.rows = len(workspace.balances.rows)
         time = workspace.time
         even = np.linspace(time[0], time[-1], BLOCKS + 1)[:-1]
@@ -280,6 +282,10 @@ class _Against:
         self.moved = moves.numbers
         free_part = np.concatenate([current.tangents / size, current.y[None], moves.change])
         self.free = free_part.reshape(len(free_part), self.rows, time.size)
+
+    def around(self, candidate: Candidate) -> list[Planned]:
+        """The effects on whose top a candidate's traces are taken: its joint's, with rounded numbers."""
+        return [e for e in self._rounded if e.joint == candidate.joint]
 
     def fixed(self, batch: Sequence[_Traced]) -> np.ndarray:
         """(blocks, rows - first, k, numbers) products of the columns with the nominal numbers' plain ones, as
@@ -316,6 +322,17 @@ class _Against:
             start = k.stop
             out.append((curvature[:, k, k] - through[:, k] @ solved[:, k].transpose(0, 2, 1), force[:, k]))
         return out
+
+
+def rounded(e: Planned) -> Planned:
+    """An effect with its numbers rounded: a trace on top of it is hardly another one, and need not be made
+    anew where numbers have moved by little."""
+    values = {}
+    for param in e.effect.params:
+        mantissa, exponent = np.frexp(np.ravel(e.values[param.name]))
+        near = np.ldexp(np.round(mantissa * ROUNDED) / ROUNDED, exponent)
+        values[param.name] = float(near[0]) if param.size == 1 else tuple(map(float, near))
+    return e.with_values(values)
 
 
 def _within_bounds(trace: Trace, amplitude: np.ndarray) -> np.ndarray:

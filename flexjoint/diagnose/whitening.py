@@ -24,6 +24,7 @@ from flexjoint.robot import Joint
 
 CUT_GAIN = 0.25  # the band ends where the Gaussian filter passes this share
 ROUNDING = 1e-11
+MASSES = 1000  # mass matrices along a motion
 CHUNK = 512  # frequencies at a time
 UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
 FLOOR = 6e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
@@ -203,8 +204,9 @@ class Noise:
 def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
     robot, readings, rigid = balances.motion.robot, balances.motion.readings, balances.motion.rigid
     n, used = len(robot.joints), readings.valid
-    inertias = rigid.mass + _added_mass(balances, effects)
-    by_q, by_v, mass = (x[used].mean(axis=0, dtype=float) for x in (rigid.by_q, rigid.by_v, inertias))
+    inertias, there = _masses(balances, effects)
+    by_q, by_v = (x[used].mean(axis=0, dtype=float) for x in (rigid.by_q, rigid.by_v))
+    mass = inertias[there].mean(axis=0, dtype=float)
     q, theta, tau_t = (k * n + np.arange(n) for k in range(3))
     noise = np.stack([readings.noise[name] for name in ("q", "theta", "tau_t", "torque")]).ravel()
     largest = max(float(np.max(noise[: 2 * n])), 1e-7)
@@ -217,7 +219,7 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
     for channel, i in balances.motion.missing:
         variances[q[i] if channel == "q" else theta[i]] = (UNBOUNDED * largest) ** 2
     unmeasured = {i for channel, i in balances.motion.missing if channel == "q"}
-    off = inertias[used] - mass
+    off = inertias[there] - mass
     spread = {
         k: np.einsum("ti,tj->ij", off[:, :, k], off[:, :, k]) / max(1, len(off))
         for k, joint in enumerate(robot.joints)
@@ -273,8 +275,9 @@ def _drive(joint: Joint, effects: Sequence[Planned]) -> Drive:
     return drive
 
 
-def _added_mass(balances: Balances, effects: Sequence[Planned]) -> np.ndarray | float:
-    """(N, n, n) what BODY effects add to the mass matrix along the motion."""
+def _masses(balances: Balances, effects: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray]:
+    """(N', n, n) mass matrices along the motion with what BODY effects add, and (N',) which of them are of
+    usable samples. Where they are made anew, every few samples tell their mean and spread."""
     motion = balances.motion
     inertial = inertial_of(motion.robot.model)
     changed = False
@@ -283,6 +286,8 @@ def _added_mass(balances: Balances, effects: Sequence[Planned]) -> np.ndarray | 
             body = motion.robot.joint(e.joint).pin_id - 1
             inertial[body] = np.array(e.effect.edit_inertial(list(inertial[body]), e.p), dtype=float)
             changed = True
+    valid = motion.readings.valid
     if not changed:
-        return 0.0
-    return mass_along(motion, inertial) - motion.rigid.mass
+        return motion.rigid.mass, valid
+    every = max(1, valid.size // MASSES)
+    return mass_along(motion, inertial, every), valid[::every]
