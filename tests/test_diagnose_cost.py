@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from functools import cache
 
 import numpy as np
@@ -10,19 +11,21 @@ import pytest
 from diagnose_cases import Case, as_recording, nominal
 from planting import Planted
 
-from flexjoint.diagnose import chain, diagnose, scan
+from flexjoint.diagnose import chain, diagnose, scan, whitening
 from flexjoint.diagnose import workspace as workspaces
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import Candidate, enumerate_candidates, may_replace
 from flexjoint.diagnose.crew import crew
-from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.scan import Scanner
+from flexjoint.diagnose.selection import Search
 from flexjoint.diagnose.shared_numbers import SharedNumbers
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import to_json
 from flexjoint.effect import Site, catalogue, plan
 
+fitting = sys.modules["flexjoint.diagnose.fit"]  # the function of that name is what the package shows
 GAP = Planted("backlash", "elbow", {"gap": 0.009})
 KEPT = ("backlash", "cogging", "link_coulomb_friction", "payload", "base_tilt", "sensor_delay")
 
@@ -79,6 +82,71 @@ def test_what_is_remembered_changes_no_fit(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(workspaces, "REMEMBERED", 0.0)
     fitted += [fit(fresh, effects) for fresh in (workspace.__wrapped__(), workspace())]
     assert len({(f.energy, *(slot.get(f.effects) for slot in f.slots)) for f in fitted}) == 1
+
+
+THREE = (
+    plan("motor_coulomb_friction", "elbow", {"level": 0.3}),
+    plan("link_viscous_friction", "shoulder", {"coefficient": 0.4}),
+    plan("backlash", "elbow", {"gap": 0.006}),
+)
+
+
+def test_kept_derivatives_lead_to_the_same_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = fit(workspace(), THREE)
+    made = len(fitting._followed(kept.workspace, kept.effects, kept.slots, kept.tangents, kept.effects)[0])
+    monkeypatch.setattr(fitting, "NEAR", 0.0)
+    anew = fit(workspace.__wrapped__(), THREE)
+    assert made == len(kept.slots) == 3
+    assert kept.energy < fit(workspace(), THREE, iterations=0).energy - 1000.0
+    # both end where a step gains less than CONVERGED and a millionth
+    assert kept.energy == pytest.approx(anew.energy, abs=2.0 * fitting.CONVERGED + 2e-6 * anew.energy)
+    error = np.sqrt(np.diag(covariance(anew, np.zeros(anew.y.size, int) + np.arange(anew.y.size) // 100)))
+    for slot, std in zip(anew.slots, error, strict=True):
+        assert abs(slot.get(kept.effects) - slot.get(anew.effects)) < 0.2 * std
+
+
+def test_a_derivative_depends_on_the_effects_of_its_joint() -> None:
+    here = workspace()
+    slots = fitting.slots_of(THREE)
+    for slot in slots:
+        low, high = list(THREE), list(THREE)
+        step = fitting.step_of(here, slot, THREE)
+        slot.put(high, slot.get(THREE) + step)
+        whole = here.moved(low, high) / step
+        assert np.array_equal(fitting.jacobian_of(here, THREE, [slot])[0], whole)
+
+
+def test_steps_that_promise_nothing_are_not_tried() -> None:
+    best = fit(workspace(), THREE)
+    best = fit(best.workspace, best.effects)
+    tried = [key for key in best.workspace._recent._values if key[0] == "residual"]
+    again = fit(best.workspace, best.effects)
+    assert again.effects == best.effects
+    assert [key for key in best.workspace._recent._values if key[0] == "residual"] == tried
+
+
+def test_a_trace_on_rounded_numbers_is_hardly_another() -> None:
+    there = plan("payload", "elbow", {"mass": 0.31, "position": (0.2, 0.0, -0.0007)}, since=2.0)
+    near = scan.rounded(there)
+    assert near.since == 2.0 and scan.rounded(near) == near
+    for name, value in there.values.items():
+        assert near.values[name] == pytest.approx(value, rel=1.0 / scan.ROUNDED)
+    assert near.values["mass"] != there.values["mass"]
+    moved = there.with_values({"mass": 0.31 * (1.0 + 1e-5)})
+    assert scan.rounded(moved) == near
+
+
+def test_every_few_samples_tell_what_a_load_does_to_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    load = [plan("payload", "elbow", {"mass": 1.0, "position": (0.3, 0.0, 0.0)})]
+    scale = workspace().torque_scale[[row.joint for row in workspace().balances.rows]]
+
+    def deviation() -> np.ndarray:
+        return whitening.make(workspace().balances, scale, load).deviation
+
+    few = deviation()
+    monkeypatch.setattr(whitening, "MASSES", 10**9)
+    assert few == pytest.approx(deviation(), rel=0.005)
+    assert np.max(np.abs(few / workspace().whitening.deviation - 1.0)) > 0.05
 
 
 def test_residuals_are_made_of_what_changes() -> None:
@@ -158,3 +226,17 @@ def test_what_is_not_tried_as_a_rival_shares_no_balance_with_the_cause() -> None
                 left_out += 1
     assert left_out > 500
     assert sum(bool(rows) for rows in marks.values()) > 0.9 * len(candidates)
+
+
+def test_with_an_angle_missing_any_joint_may_hold_a_rival() -> None:
+    cause = plan("torque_gain", "elbow", {"gain": 0.03})
+    joints = {}
+    for sensors in ("full", "motor_only"):
+        recording = as_recording(Case("crane", "rich", 41, sensors).with_causes(GAP)).between(0.0, 5.0)
+        here = Workspace(balances_of(nominal("crane"), recording))
+        own = [c for c in enumerate_candidates(here) if c.effect.name == "motor_coulomb_friction"]
+        scanner = Scanner(own)
+        with crew([*here.shared(), *catalogue().values(), *own, scanner], 1) as processes:
+            found = Search(scanner, processes).scan(fit(here, []), cause)
+        joints[sensors] = {s.candidate.joint for s in found}
+    assert joints == {"full": {"elbow"}, "motor_only": {"elbow", "shoulder"}}

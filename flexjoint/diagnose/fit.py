@@ -101,7 +101,7 @@ def _descend(
         enough, better = CONVERGED + 1e-6 * energy, False
         while not better and damping < 1e8:
             trial, promised = _step(current, slots, normal, slope, damping)
-            if promised < enough:
+            if promised is not None and promised < enough:
                 break
             trial_y = workspace.residual(trial)
             trial_energy = workspace.energy(trial_y) + _prior(slots, trial)
@@ -121,19 +121,30 @@ def _descend(
 
 def _step(
     current: list[Planned], slots: Sequence[Slot], normal: np.ndarray, slope: np.ndarray, damping: float
-) -> tuple[list[Planned], float]:
-    """A damped Gauss-Newton step in scaled numbers, clipped into the bounds, and the energy that it would
-    gain were all linear."""
+) -> tuple[list[Planned], float | None]:
+    """A damped Gauss-Newton step in scaled numbers, those at a bound held that would leave it, and the energy
+    that it would gain were all linear. None: it was cut short at a bound, and a shorter one may gain more."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(size, size) + damping * np.eye(len(slots))
-    step = -np.linalg.lstsq(scaled, slope / size, rcond=1e-12)[0] / size
-    trial, moved = list(current), np.zeros(len(slots))
-    for k, (slot, number) in enumerate(zip(slots, step, strict=True)):
-        here = slot.get(current)
-        there = float(np.clip(here + float(number), slot.param.low, slot.param.high))
-        slot.put(trial, there)
-        moved[k] = there - here
-    return trial, float(-2.0 * slope @ moved - moved @ normal @ moved)
+    here = np.array([slot.get(current) for slot in slots])
+    low, high = (np.array([getattr(slot.param, side) for slot in slots]) for side in ("low", "high"))
+    step, free = np.zeros(len(slots)), np.ones(len(slots), dtype=bool)
+    while np.any(free):
+        step[:] = 0.0
+        held = np.ix_(free, free)
+        step[free] = -np.linalg.lstsq(scaled[held], (slope / size)[free], rcond=1e-12)[0] / size[free]
+        leaves = free & (((here <= low) & (step < 0.0)) | ((here >= high) & (step > 0.0)))
+        if not np.any(leaves):
+            break
+        free &= ~leaves
+        step[leaves] = 0.0
+    there = np.clip(here + step, low, high)
+    trial = list(current)
+    for slot, number in zip(slots, there, strict=True):
+        slot.put(trial, float(number))
+    cut = bool(np.any(there != here + step))
+    moved = there - here
+    return trial, None if cut else float(-2.0 * slope @ moved - moved @ normal @ moved)
 
 
 def jacobian_of(workspace: Workspace, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:

@@ -54,7 +54,10 @@ class Search:
     crew: Crew
 
     def scan(self, current: Fit, replaced: Planned) -> tuple[Scored, ...]:
-        return self.scanner.scan(current, self.crew, replaced)
+        """Candidates for the place of an effect. An angle that is made of the nominal model carries errors of
+        one joint to the others: there it may be any."""
+        blind = bool(current.workspace.motion.missing)
+        return self.scanner.scan(current, self.crew, None if blind else replaced)
 
 
 def select(
