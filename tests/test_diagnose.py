@@ -205,6 +205,26 @@ def test_two_causes_on_two_joints_are_both_named() -> None:
     assert gains == sorted(gains, reverse=True)
 
 
+def test_a_model_without_any_friction_gets_it_at_every_joint() -> None:
+    """What most robot descriptions leave out, all at once, and a load that nobody told of."""
+    planted = [
+        Planted("motor_coulomb_friction", "shoulder", {"level": 6.0}),
+        Planted("motor_coulomb_friction", "elbow", {"level": 2.8}),
+        Planted("link_viscous_friction", "shoulder", {"coefficient": 3.0}),
+        Planted("payload", "elbow", {"mass": 1.2, "position": [0.0, 0.03, -0.3]}),
+    ]
+
+    result = found_in(Case("crane", "rich", 41), *planted)
+
+    told = summary(result)
+    assert {(f.effect, f.joint) for f in result.findings} == {(p.effect, p.joint) for p in planted}, told
+    for f in result.findings:
+        wanted = next(p.parameters for p in planted if (p.effect, p.joint) == (f.effect, f.joint))
+        main = next(iter(wanted))
+        assert f.parameters[main].value == pytest.approx(wanted[main], rel=TOLERANCE), told
+    assert result.explained > 0.99, told
+
+
 def test_numbers_off_by_their_tolerance_are_no_cause() -> None:
     result = diagnosis(Case("crane", "rich", 51, inexact=0.02))
 

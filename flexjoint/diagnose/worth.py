@@ -132,7 +132,7 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     paid = price(trial.workspace, trial.effects) - price(trial.workspace, without.effects)
     if earned - paid < LEFTOVER * left:
         return False
-    beside = [e for e in trial.effects if e is not added and e.joint == added.joint]
+    beside = _beside(trial, added)
     if beside:
         # what other causes on the joint explain is known only to the method's own error, which has a shape
         # of its own: what leaves next to nothing is not that
@@ -142,6 +142,16 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     if contradicted(trial, without):
         return False
     return told_by_motion(trial, earned, added) and material(trial, added, earned)
+
+
+def _beside(trial: Fit, added: Planned) -> list[Planned]:
+    """The other causes on an effect's joint that mark a balance which it marks, too."""
+    others = [e for e in trial.effects if e is not added and e.joint == added.joint]
+    if not others:
+        return []
+    touched = {e.key: torque_shares(trial.workspace, trial.effects, k) > 0.0
+               for k, e in enumerate(trial.effects) if e is added or e in others}  # fmt: skip
+    return [e for e in others if np.any(touched[e.key] & touched[added.key])]
 
 
 def _method_error(trial: Fit, earned: float) -> float:
