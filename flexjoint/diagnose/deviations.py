@@ -48,9 +48,10 @@ def judged_energy(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned
     if not far and not any(whitening.changes_noise(e) for e in effects):
         return workspace.energy(y)
     try:
-        energy = _energy_at(workspace, pull, effects)
-        if np.max(workspace.temper) < NOISY:
-            energy = min(energy, _energy_at(workspace, settled(workspace, effects, y), effects))
+        with np.errstate(over="ignore", invalid="ignore"):
+            energy = _energy_at(workspace, pull, effects)
+            if np.max(workspace.temper) < NOISY:
+                energy = min(energy, _energy_at(workspace, settled(workspace, effects, y), effects))
     except np.linalg.LinAlgError:  # beside a wrong cause numbers may be so far off that no machine has them
         return workspace.energy(y)
     if not any(e.effect.overrides("edit_inertial") for e in workspace.nominal):

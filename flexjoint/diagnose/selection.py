@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from flexjoint.diagnose.balances import acts_within_a_joint
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.crew import Crew, crew
 from flexjoint.diagnose.fit import Fit, fit
@@ -33,6 +34,7 @@ MOST_EFFECTS, MOST_A_JOINT = 12, 3  # the larger of both
 MOST_EXCHANGES = 4
 
 Progress = Callable[[float, str], None]
+Key = tuple[str, str | None]  # of an effect on a joint
 
 
 @dataclass(frozen=True)
@@ -79,18 +81,23 @@ def _select(workspace: Workspace, search: Search, report: Progress, start: Seque
     best = at_own_level(fit(workspace, start)) if start else nothing
     scans: list[tuple[Scored, ...]] = []  # of every set that was looked beyond
     seen = {_keys(best)}  # a cause may enter at its own level and not stay at that of the set
+    compared: dict[Key, frozenset[Key]] = {}  # effects with their rivals, and what was beside them then
     while True:
         best = _grown(best, search, report, seen, scans)
         report(0.9, "comparing rival causes")
-        best, rivals = exchange(search, best, best.effects)
+        places = [e for e in best.effects if compared.get(e.key) != _beside(best, e)]
+        best, rivals = exchange(search, best, places)
+        compared = {e.key: _beside(best, e) for e in best.effects}
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.crew)
-        if not pairs or len(best.effects) >= most_effects(workspace):
-            break
-        pair = prune(choose(pairs))
-        if _keys(pair) in seen:
-            break
-        best = pair
-        seen.add(_keys(best))
+        if pairs and len(best.effects) < most_effects(workspace):
+            pair = prune(choose(pairs))
+            if _keys(pair) not in seen:
+                best = pair
+                seen.add(_keys(best))
+                continue
+        if len(places) < len(best.effects):  # all rivals are to be those of the set that there is in the end
+            best, rivals = exchange(search, best, best.effects)
+        break
     first, last = (scans[0], scans[-1]) if scans else ((), ())
     return Selection(best, nothing, first, last, rivals)
 
@@ -99,7 +106,7 @@ def _grown(
     best: Fit,
     search: Search,
     report: Progress,
-    seen: set[frozenset[tuple[str, str | None]]],
+    seen: set[frozenset[Key]],
     scans: list[tuple[Scored, ...]],
 ) -> Fit:
     """The set with causes added one by one, as long as one is better than none; sets that were `seen` are not
@@ -127,8 +134,17 @@ def most_effects(workspace: Workspace) -> int:
     return max(MOST_EFFECTS, MOST_A_JOINT * len(workspace.robot.joints))
 
 
-def _keys(result: Fit) -> frozenset[tuple[str, str | None]]:
+def _keys(result: Fit) -> frozenset[Key]:
     return frozenset(e.key for e in result.effects)
+
+
+def _beside(result: Fit, effect: Planned) -> frozenset[Key]:
+    """The effects of a set on which the rivals of one of them depend: where it acts within its joint, those
+    on that joint, and those that act beyond theirs."""
+    own = acts_within_a_joint(effect)
+    return frozenset(
+        e.key for e in result.effects if not own or e.joint == effect.joint or not acts_within_a_joint(e)
+    )
 
 
 def choose(fits: Sequence[Fit]) -> Fit:
@@ -154,7 +170,7 @@ def exchange(
 ) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
     """Try other candidates in the place of some effects; keep what scores better. Also returns, for every
     effect that stays, the fits with a rival in its place, best first."""
-    rivals: dict[tuple[str, str | None], tuple[Fit, ...]] = {}
+    rivals: dict[Key, tuple[Fit, ...]] = {}
     waiting = [e.key for e in places]
     exchanges = 0  # bounded, so that two equals do not alternate for ever
     while waiting:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from flexjoint.diagnose.balances import acts_within_a_joint
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.crew import Crew
 from flexjoint.diagnose.fit import Fit, fit
@@ -86,7 +87,7 @@ def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
 def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, crew: Crew) -> list[Fit]:
     """Those of some sets of one more effect than `best` that clear the balances that are wrong, each at the
     level that it leaves. A set that leaves ten times more than one that does will not be chosen."""
-    waiting = [(_cleared(best, bare.workspace.levels(f.y)), f) for f in trials]
+    waiting = [(_cleared(best, bare.workspace.levels(f.y), _marked(f, 1)), f) for f in trials]
     if best.workspace.strain <= 1.0:
         waiting = [(share, f) for share, f in waiting if share >= np.log(CLEARED)]
     while waiting:
@@ -99,10 +100,18 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, crew: Crew) -> list[Fi
     return []
 
 
-def _cleared(best: Fit, levels: np.ndarray) -> float:
-    """By how much (mean logarithm) levels are lower than those of `best`, in the balances that are wrong."""
+def _marked(trial: Fit, last: int) -> np.ndarray:
+    """(rows,) bool: the balances that the last few effects of a set mark."""
+    count = len(trial.effects)
+    shares = [torque_shares(trial.workspace, trial.effects, k) for k in range(count - last, count)]
+    return np.any(np.array(shares) > 0.0, axis=0)
+
+
+def _cleared(best: Fit, levels: np.ndarray, marked: np.ndarray) -> float:
+    """By how much (mean logarithm) levels are lower than those of `best`, in the balances that are wrong and
+    that what was added marks: of many joints that are wrong, one cause clears its own."""
     left = best.workspace.temper / best.workspace.strain
-    wrong = left > CLEARED
+    wrong = (left > CLEARED) & marked
     return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
 
 
@@ -112,11 +121,14 @@ def beside_rivals(
     """Where `best` leaves balances wrong: sets that clear them of each effect, started anew, beside each of
     the fits with a rival in its place. An effect that came first has sizes that stand in for what its rival
     explains (a gap, for an offset that moves it to one side), from where no search finds back."""
-    wrong = best.workspace.temper / best.workspace.strain > CLEARED
-    if not np.any(wrong):
-        return []
+    workspace = best.workspace
+    wrong = workspace.temper / workspace.strain > CLEARED
+    joints = {row.joint for row, bad in zip(workspace.balances.rows, wrong, strict=True) if bad}
+    names = {workspace.robot.joint_names[joint] for joint in joints}
     tasks = []
     for effect, fits in zip(best.effects, rivals, strict=True):
+        if not names or (acts_within_a_joint(effect) and effect.joint not in names):
+            continue
         own = tuple(c for c in candidates if c.key == effect.key)
         tasks += [(best, rival, own) for rival in fits]
     return on_one_level([f for f in crew.map(_beside, tasks) if f is not None], crew)
@@ -128,7 +140,9 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
     best, rival, candidates = task
     scored = Scanner(candidates).scan(rival)
     trial = added_to(rival, scored[0]) if scored else None
-    if trial is None or _cleared(best, trial.workspace.levels(trial.y)) < np.log(CLEARED):
+    if trial is None:
+        return None
+    if _cleared(best, trial.workspace.levels(trial.y), _marked(trial, 2)) < np.log(CLEARED):
         return None
     settled = at_own_level(trial)
     newcomer = settled.effects[len(rival.effects) - 1]
@@ -142,7 +156,9 @@ def _settled(task: tuple[Fit, Fit]) -> Fit | None:
     best, trial = task
     settled = at_own_level(trial)
     relieved = best.workspace.strain > 1.0 and settled.workspace.strain <= 1.0
-    if not relieved and _cleared(best, settled.workspace.temper) < np.log(CLEARED):
+    # numbers that are implausible with and without it stand for what else is wrong
+    levels = settled.workspace.temper / min(settled.workspace.strain, best.workspace.strain)
+    if not relieved and _cleared(best, levels, _marked(settled, 1)) < np.log(CLEARED):
         return None
     without = fit(settled.workspace, best.effects)
     return settled if worthwhile(settled, without, settled.effects[-1]) else None
