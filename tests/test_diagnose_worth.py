@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from diagnose_cases import Case, as_recording, found_in, nominal, summary
 from planting import Planted
 
-from flexjoint.diagnose import trials
+from flexjoint.diagnose import trials, worth
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.deviations import held, judged_energy
@@ -314,3 +315,30 @@ def test_a_law_is_not_named_by_what_it_adds_to_a_simpler_one_that_is_absent() ->
         }
         finding = Finding("stribeck_friction", "turn", 0.9, numbers, None, 0.9, "friction", law)
         assert bool(finer(best, [finding], estimation)) is plainer
+
+
+def test_of_many_joints_that_are_wrong_a_cause_clears_its_own() -> None:
+    wrong = SimpleNamespace(workspace=SimpleNamespace(temper=np.full(9, 1000.0), strain=1.0))
+    levels, own = np.full(9, 1000.0), np.arange(9) < 2
+    levels[own] = 2.0
+    assert trials._cleared(wrong, levels, own) == pytest.approx(np.log(500.0))
+    assert trials._cleared(wrong, levels, ~own) == 0.0
+    assert trials._cleared(wrong, levels, np.full(9, True)) < np.log(trials.CLEARED)
+
+
+def test_the_methods_error_of_a_cause_is_in_the_balances_that_it_marks() -> None:
+    """What a motor's friction leaves is nothing to a load on the link, but is to a gain of that motor."""
+    effects = [
+        plan("motor_coulomb_friction", "elbow", {"level": 2.8}),
+        plan("payload", "elbow", {"mass": 1.2, "position": (0.0, 0.03, -0.3)}),
+        plan("torque_gain", "elbow", {"gain": 0.1}),
+        plan("motor_coulomb_friction", "shoulder", {"level": 6.0}),
+    ]
+    recording = as_recording(Case("crane", "rich", 41).with_causes()).between(0.0, 5.0)
+    trial = fit(Workspace(balances_of(nominal("crane"), recording)), effects, iterations=0)
+    beside = {e.effect.name: [b.effect.name for b in worth._beside(trial, e)] for e in trial.effects[:3]}
+    assert beside == {
+        "motor_coulomb_friction": ["torque_gain"],
+        "payload": [],
+        "torque_gain": ["motor_coulomb_friction"],
+    }
