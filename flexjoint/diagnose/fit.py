@@ -98,11 +98,13 @@ def _descend(
     jacobian = jacobian_of(workspace, current, slots)
     for _ in range(iterations):
         normal, slope = normal_equations(workspace, jacobian, y, slots, current)
-        enough, better = CONVERGED + 1e-6 * energy, False
+        enough, better, tried = CONVERGED + 1e-6 * energy, False, False
         while not better and damping < 1e8:
             trial, promised = _step(current, slots, normal, slope, damping)
-            if promised is not None and promised < enough:
+            # the first one is taken, however little it gains here: more it may gain at another level
+            if tried and promised is not None and promised < enough:
                 break
+            tried = True
             trial_y = workspace.residual(trial)
             trial_energy = workspace.energy(trial_y) + _prior(slots, trial)
             better = bool(np.isfinite(trial_energy)) and trial_energy < energy
