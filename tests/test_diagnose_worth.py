@@ -336,7 +336,9 @@ def test_the_methods_error_of_a_cause_is_in_the_balances_that_it_marks() -> None
     ]
     recording = as_recording(Case("crane", "rich", 41).with_causes()).between(0.0, 5.0)
     trial = fit(Workspace(balances_of(nominal("crane"), recording)), effects, iterations=0)
-    beside = {e.effect.name: [b.effect.name for b in worth._beside(trial, e)] for e in trial.effects[:3]}
+    beside = {
+        e.effect.name: [b.effect.name for b in worth._sharing_balances(trial, e)] for e in trial.effects[:3]
+    }
     assert beside == {
         "motor_coulomb_friction": ["torque_gain"],
         "payload": [],

@@ -17,9 +17,9 @@ from flexjoint.diagnose.experiment import advice
 from flexjoint.diagnose.naming import named
 from flexjoint.diagnose.reliability import LEAST
 from flexjoint.diagnose.second_look import look_again
-from flexjoint.diagnose.selection import Selection, select
+from flexjoint.diagnose.selection import Key, Selection, select
 from flexjoint.diagnose.together import combine
-from flexjoint.diagnose.verdict import Errors, Key
+from flexjoint.diagnose.verdict import Errors
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Diagnosis, Finding, Unexplained
 from flexjoint.effect import catalogue

@@ -17,9 +17,7 @@ from flexjoint.effect import Param, Planned, Site
 
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
-NEAR = (
-    0.01  # relative change of its joint's numbers up to which a derivative is kept: a step is hardly another
-)
+NEAR = 0.01  # relative change of its joint's numbers up to which a derivative is kept
 FACTOR_SPREAD = 0.7  # of the logarithm of a factor on a nominal number: two is one deviation
 POSITION_SPREAD = 0.5  # m, a weak prior that holds components of a position which the data do not see
 
@@ -101,7 +99,7 @@ def _descend(
         enough, better, tried = CONVERGED + 1e-6 * energy, False, False
         while not better and damping < 1e8:
             trial, promised = _step(current, slots, normal, slope, damping)
-            # the first one is taken, however little it gains here: more it may gain at another level
+            # the first one is tried, however little it promises: at a raised level that is what lowers it
             if tried and promised is not None and promised < enough:
                 break
             tried = True
@@ -133,8 +131,8 @@ def _step(
     step, free = np.zeros(len(slots)), np.ones(len(slots), dtype=bool)
     while np.any(free):
         step[:] = 0.0
-        held = np.ix_(free, free)
-        step[free] = -np.linalg.lstsq(scaled[held], (slope / size)[free], rcond=1e-12)[0] / size[free]
+        block = np.ix_(free, free)
+        step[free] = -np.linalg.lstsq(scaled[block], (slope / size)[free], rcond=1e-12)[0] / size[free]
         leaves = free & (((here <= low) & (step < 0.0)) | ((here >= high) & (step > 0.0)))
         if not np.any(leaves):
             break

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from flexjoint.diagnose import doubts, held_out, leftover, refined, verdict
 from flexjoint.diagnose.fit import Fit
-from flexjoint.diagnose.selection import Selection
-from flexjoint.diagnose.verdict import Errors, Key
+from flexjoint.diagnose.selection import Key, Selection
+from flexjoint.diagnose.verdict import Errors
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Estimation, Finding, Gain, ResidualView, Unexplained
 from flexjoint.recording import Recording

@@ -85,9 +85,9 @@ def _select(workspace: Workspace, search: Search, report: Progress, start: Seque
     while True:
         best = _grown(best, search, report, seen, scans)
         report(0.9, "comparing rival causes")
-        places = [e for e in best.effects if compared.get(e.key) != _beside(best, e)]
+        places = [e for e in best.effects if compared.get(e.key) != _neighbours(best, e)]
         best, rivals = exchange(search, best, places)
-        compared = {e.key: _beside(best, e) for e in best.effects}
+        compared = {e.key: _neighbours(best, e) for e in best.effects}
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.crew)
         if pairs and len(best.effects) < most_effects(workspace):
             pair = prune(choose(pairs))
@@ -138,7 +138,7 @@ def _keys(result: Fit) -> frozenset[Key]:
     return frozenset(e.key for e in result.effects)
 
 
-def _beside(result: Fit, effect: Planned) -> frozenset[Key]:
+def _neighbours(result: Fit, effect: Planned) -> frozenset[Key]:
     """The effects of a set on which the rivals of one of them depend: where it acts within its joint, those
     on that joint, and those that act beyond theirs."""
     own = acts_within_a_joint(effect)

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexjoint.diagnose.fit import Fit, fit, normal_equations
-from flexjoint.diagnose.selection import Selection, granted
+from flexjoint.diagnose.selection import Key, Selection, granted
 from flexjoint.diagnose.shared_numbers import SharedNumbers
-from flexjoint.diagnose.verdict import Errors, Key, certainty
+from flexjoint.diagnose.verdict import Errors, certainty
 from flexjoint.diagnose.worth import PRICE_NUMBER, degenerate, price, score
 from flexjoint.effect import Planned, numbers_beyond
 

@@ -11,7 +11,7 @@ import numpy as np
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.reliability import left_by, reliability
-from flexjoint.diagnose.selection import Selection, choose
+from flexjoint.diagnose.selection import Key, Selection, choose
 from flexjoint.diagnose.ties import preferred, ties
 from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, score, worthwhile
 from flexjoint.diagnosis import Finding, Fitted, Ranked, WithinTolerance
@@ -26,7 +26,6 @@ NOTABLE = 2.0  # standard errors by which a nominal number must be off to be wor
 BELIEVED = 3.0  # prior deviations beyond which a nominal number stands for something else that is wrong
 
 
-Key = tuple[str, str | None]  # of an effect on a joint
 Errors = dict[str, list[float]]  # standard errors of the components of each parameter
 
 

@@ -132,7 +132,7 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     paid = price(trial.workspace, trial.effects) - price(trial.workspace, without.effects)
     if earned - paid < LEFTOVER * left:
         return False
-    beside = _beside(trial, added)
+    beside = _sharing_balances(trial, added)
     if beside:
         # what other causes on the joint explain is known only to the method's own error, which has a shape
         # of its own: what leaves next to nothing is not that
@@ -144,7 +144,7 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     return told_by_motion(trial, earned, added) and material(trial, added, earned)
 
 
-def _beside(trial: Fit, added: Planned) -> list[Planned]:
+def _sharing_balances(trial: Fit, added: Planned) -> list[Planned]:
     """The other causes on an effect's joint that mark a balance which it marks, too."""
     others = [e for e in trial.effects if e is not added and e.joint == added.joint]
     if not others:
