@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from diagnose_cases import Case, as_recording, found_in, nominal, summary
 from planting import Planted
+from study.cases import make
 
 from flexjoint.diagnose import trials, worth
 from flexjoint.diagnose.balances import balances_of
@@ -344,3 +345,19 @@ def test_the_methods_error_of_a_cause_is_in_the_balances_that_it_marks() -> None
         "payload": [],
         "torque_gain": ["motor_coulomb_friction"],
     }
+
+
+def test_where_hardly_anything_counts_a_wrong_number_is_not_the_end() -> None:
+    """At the level that the nominal model leaves, a wrist's friction of 0.6 N m settles at 0.53, with ten
+    times the variance."""
+    machine = make("single", 253).case
+    recording, (truth,) = as_recording(machine.train()), machine.effects
+    workspace = Workspace(balances_of(nominal(machine.robot), recording))
+    nothing = at_own_level(fit(workspace, []))
+    bare = trials.at_noise(nothing)
+    assert bare is not None
+    assumed = plan(truth.effect, truth.joint, {"level": 0.5})
+    above = fit(nothing.workspace, [assumed])
+    assert abs(above.effects[0].values["level"] / truth.value("level") - 1.0) > 0.05
+    clearer = trials._clearer((nothing, bare, above))
+    assert clearer.effects[0].values["level"] == pytest.approx(truth.value("level"), rel=0.02)

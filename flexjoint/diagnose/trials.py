@@ -19,6 +19,7 @@ from flexjoint.diagnose.worth import (
     CERTAIN,
     CERTAIN_DATED,
     CLEARED,
+    COMPLETE,
     at_own_level,
     degenerate,
     score,
@@ -65,14 +66,15 @@ def larger_sets(best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | No
     found = [f for f, better in judged if f is not None and better]
     if bare is not None:
         trials = [f for f, _ in judged if f is not None]
-        # what was fitted at the level of `best`, and is still dated or not as the scan had it, settles where
-        # it would from here
+        # what was fitted at the level of `best`, and is still dated or not as the scan had it, is fitted from
+        # there
         known = {
             (s.candidate, s.since)
             for s, (f, _) in zip(scored, judged, strict=True)
             if f is not None and (f.effects[-1].since is None) == (s.since is None)
         }
         others = [s for s in promising(bare, scanned[1]) if (s.candidate, s.since) not in known]
+        trials = crew.map(_clearer, [(best, bare, f) for f in trials])
         trials += [f for f in crew.map(_added, [(bare, one) for one in others]) if f is not None]
         found += clearing(best, trials, bare, crew)
     return on_one_level(found, crew)
@@ -82,6 +84,22 @@ def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
     """A set with a candidate added, and whether it is better at its level."""
     best, added = task[0], added_to(*task)
     return added, added is not None and worthwhile(added, best, added.effects[-1])
+
+
+def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
+    """A set of one effect more than `best`, fitted at the level of `best`, or again from there at that of the
+    predicted noise, whichever clears more: where hardly anything counts, a friction may settle at a wrong
+    number."""
+    best, bare, above = task
+    marked = _marked(above, 1)
+    levels = bare.workspace.levels(above.y)
+    if not np.any(levels[marked] > COMPLETE):
+        return above
+    below = fit(bare.workspace, above.effects)
+    if degenerate(below.workspace, below.effects[-1]):
+        return above
+    lower = _cleared(best, bare.workspace.levels(below.y), marked) > _cleared(best, levels, marked)
+    return below if lower else above
 
 
 def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, crew: Crew) -> list[Fit]:
