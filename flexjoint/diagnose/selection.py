@@ -4,8 +4,8 @@ must be to enter is said in worth.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from flexjoint.diagnose.balances import acts_within_a_joint
 from flexjoint.diagnose.candidates import Candidate
@@ -46,6 +46,7 @@ class Selection:
     scan: tuple[Scored, ...]  # of the nominal model, best start of each candidate
     last_scan: tuple[Scored, ...]  # of the chosen set: what was looked for beyond it
     rivals: tuple[tuple[Fit, ...], ...]  # per chosen effect: fits with another in its place, best first
+    explains: Mapping[Key, float] = field(default_factory=dict)  # energy, where it is of several recordings
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,17 @@ BLOCKS = 12  # ... of which there are so many at least
 THROUGHOUT = 2.0  # deviations among the blocks, from which a rival is worse throughout
 
 
-def ties(best: Fit, planned: Planned, rivals: Sequence[Fit]) -> tuple[Tie, ...]:
-    """Rivals that fit as well. One that merely contains the found effect is no rival of it."""
+def ties(
+    best: Fit, planned: Planned, rivals: Sequence[Fit], explained: float | None = None
+) -> tuple[Tie, ...]:
+    """Rivals that fit as well. One that merely contains the found effect is no rival of it. `explained` is
+    the energy that the effect explains, where it is not of this recording alone."""
     out: list[Tie] = []
     if not rivals:
         return ()
-    without = fit(best.workspace, [e for e in best.effects if e is not planned])
-    negligible = FINER_ERROR * (without.energy - best.energy)
+    if explained is None:
+        explained = fit(best.workspace, [e for e in best.effects if e is not planned]).energy - best.energy
+    negligible = FINER_ERROR * explained
     for rival in rivals:
         other = rival.effects[-1]
         delays = [e.effect.overrides("delay") for e in (planned, other)]

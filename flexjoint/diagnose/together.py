@@ -81,7 +81,13 @@ def combine(selections: Sequence[Selection]) -> Together:
         )
         for effect in best.effects
     ) + tuple(first.rivals[first.best.effects.index(e)] for e in dated)
-    selection = replace(first, best=chosen, rivals=tuple(tuple(sorted(r, key=score)) for r in rivals))
+    bare = {e.key: joints.get(best_key - {_identity(e)}) for e in best.effects}
+    selection = replace(
+        first,
+        best=chosen,
+        rivals=tuple(tuple(sorted(r, key=score)) for r in rivals),
+        explains={key: joint.energy - best.energy for key, joint in bare.items() if joint is not None},
+    )
     return Together(selection, _errors(best), _notes(best))
 
 

@@ -241,7 +241,8 @@ def added_to(current: Fit, scored: Scored) -> Fit | None:
 
 
 def date_onset(result: Fit) -> Fit:
-    """Refine when the last effect set in, or find that it was always there."""
+    """Refine when the last effect set in, or find that it was always there; an onset that would lie too near
+    to an end of the record to be seen there is none."""
     added = result.effects[-1]
     if added.since is None:
         return result
@@ -253,6 +254,9 @@ def date_onset(result: Fit) -> Fit:
             trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
             if trial.energy < result.energy:
                 result = trial
+    end, since = float(workspace.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
+    if not onset_margin(end) <= since <= end - onset_margin(end):
+        return always
     return (
         always if score(always) < score(result) + 0.01 * max(0.0, always.energy - result.energy) else result
     )
@@ -263,10 +267,9 @@ def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
     numbers held."""
     workspace, added = result.workspace, result.effects[-1]
     end = float(workspace.balances.chains.t[-1])
-    beside = onset_margin(end)
 
     def energy(since: float) -> float:
-        if not beside <= since <= end - beside:
+        if not 0.0 < since < end:
             return np.inf
         return workspace.energy(workspace.residual([*result.effects[:-1], replace(added, since=since)]))
 

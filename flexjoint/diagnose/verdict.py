@@ -137,7 +137,8 @@ def findings(
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
-        tied, (left, share) = ties(best, planned, rivals), left_by(best, selection.nothing, k)
+        tied = ties(best, planned, rivals, selection.explains.get(planned.key))
+        left, share = left_by(best, selection.nothing, k)
         believed = reliability(best, left, share, k)
         out.append(
             Finding(
