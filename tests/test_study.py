@@ -30,9 +30,9 @@ NAMED = (
     ("double", 1),  # a gap that a cable keeps closed: an offset, and the gap is told of
     ("double", 31),  # a gain beside an offset that explains ten thousand times as much
     ("double", 62),  # an offset that a preload explains as well but for single moments
-    ("several", 17),  # a delay of all sensors of one joint, which is one of its torque in any recording
     ("double", 89),  # a gap that by itself is wide enough for the offset beside it
     ("several", 6),
+    ("several", 17),  # a delay of all sensors of one joint, which is one of its torque in any recording
     ("several", 15),  # a friction at rest whose springs are known up to unknown offsets
 )
 HEALTHY = (0, 1, 2, 3, 748)  # of the last one the first second would tell of a delay that sets in
