@@ -86,7 +86,8 @@ class Signals:
 
     Link-referred, SI. `phi` is the deflection theta - q; for SPRING laws it is what the deflection
     effects leave of it (inside a backlash it is 0). `tau_t` is the whole transmission torque, damping
-    included. `t` is the time from the start of the recording [s].
+    included. `t` is the time from the start of the recording [s]. `tau_m_before` and `tau_m_after` are the
+    commands of the joints before and after this one in the robot's order, 0 where there is none.
     """
 
     t: Value = 0.0
@@ -98,6 +99,8 @@ class Signals:
     dphi: Value = 0.0
     tau_t: Value = 0.0
     tau_m: Value = 0.0
+    tau_m_before: Value = 0.0
+    tau_m_after: Value = 0.0
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,8 @@ class Effect:
         return 1.0 if self.site is Site.DEFLECTION else 0.0
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:
-        """SPRING: torque added to tau_t. MOTOR, LINK: torque acting on that body."""
+        """SPRING: torque added to tau_t. MOTOR, LINK: torque acting on that body. COMMAND: torque added to
+        the commanded one, by an internal state; s.tau_m is the command as it reaches this effect."""
         return 0.0
 
     def level(self, s: Signals, p: Any, z: Value) -> Value:
@@ -154,8 +158,13 @@ class Effect:
         return 0.0
 
     def rate(self, s: Signals, p: Any, z: Value) -> Value:
-        """Time derivative of the internal state z."""
+        """Time derivative of the internal state z, affine in z."""
         return 0.0
+
+    def settled(self, s: Signals, p: Any) -> Value:
+        """The internal state where a motion begins that has held these signals for long. A state that
+        overrides this runs before the effect sets in, too."""
+        return self.states[0] if self.states else 0.0
 
     def delay(self, p: Any) -> Value:
         """COMMAND, SENSOR: dead time [s]."""

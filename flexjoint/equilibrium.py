@@ -15,13 +15,14 @@ import numpy as np
 from flexjoint.contact_forces import Contact, contact_forces, given_forces, unactuated
 from flexjoint.effect import Signals
 from flexjoint.errors import ModelError
-from flexjoint.flow import JointFlow
+from flexjoint.flow import JointFlow, neighbours
 from flexjoint.limits import Violation, checked_deflections, with_violations
 from flexjoint.model import FlexibleJointModel
 from flexjoint.roots import increasing_roots
 
 SLOW = 1e12  # [s] that a step of a path takes: rate-free states do not care, others have relaxed
 REACHED = 1e-9  # of the wanted torque: by how much the inverse of the command may miss it
+SWEEPS = 200  # over joints whose commands act on each other
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def equilibrium(
 
     z = np.tile(model.rest().z, (len(q), 1))
     phi = np.zeros_like(load)
-    tau_m, needed, given, friction = (np.empty_like(load) for _ in range(4))
+    needed, friction = np.empty_like(load), np.empty_like(load)
     for i, flow in enumerate(model.flows):
         link = links[:, i]
         if path and flow.stateful:
@@ -104,9 +105,12 @@ def equilibrium(
             phi[:, i] = deflection(flow, link, load[:, i])
         s = _resting(link, phi[:, i], load[:, i])
         needed[:, i] = load[:, i] - flow.torques(s, z.T)[0]
-        tau_m[:, i], given[:, i] = _command(flow, s, needed[:, i])
-        s.tau_m = tau_m[:, i]
+    tau_m, given = _commands(model, links, phi, load, needed)
+    for i, flow in enumerate(model.flows):
+        s = _resting(links[:, i], phi[:, i], load[:, i], tau_m.T, i)
         friction[:, i] = flow.motor_level(s, z.T)
+        for slot, value in flow.settled(s, tau_m[:, i]):
+            z[:, slot] = value
     result = Equilibrium(
         q=q,
         theta=links + phi,
@@ -193,18 +197,39 @@ def _own(flow: JointFlow, size: int) -> np.ndarray:
     return out
 
 
+def _commands(
+    model: FlexibleJointModel, links: np.ndarray, phi: np.ndarray, load: np.ndarray, needed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N, n) the commands that give the motors the torques needed, and the torques that they do give: joint
+    after joint, again as long as a command acts on a neighbour's motor too."""
+    tau_m, given = needed.copy(), np.empty_like(needed)
+    for _ in range(SWEEPS):
+        before = tau_m.copy()
+        for i, flow in enumerate(model.flows):
+            s = _resting(links[:, i], phi[:, i], load[:, i], tau_m.T, i)
+            tau_m[:, i], given[:, i] = _command(flow, s, needed[:, i])
+        if np.all(np.abs(tau_m - before) <= REACHED * (1.0 + np.abs(tau_m))):
+            return tau_m, given
+    raise ModelError(
+        "the joints' commands act on each other so much that none hold this pose; check the effects on the"
+        " command"
+    )
+
+
 def _command(flow: JointFlow, s: Signals, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The commands (N,) that give the motor torques needed (N,), and the torques that they do give: less
     where the command saturates."""
     start = needed.copy()
-    if np.array_equal(flow.command(s, start), needed):
+    if np.array_equal(flow.held_command(s, start), needed):
         return start, needed.copy()
     reach = np.abs(needed) + 1.0
-    rises = flow.command(s, start + reach) - flow.command(s, start - reach)
+    rises = flow.held_command(s, start + reach) - flow.held_command(s, start - reach)
     way = np.where(rises < 0.0, -1.0, 1.0)  # a gain below -1 turns the command round
-    x, found = increasing_roots(lambda x: way * (flow.command(s, x) - needed), start, reach, steepness=1.0)
+    x, found = increasing_roots(
+        lambda x: way * (flow.held_command(s, x) - needed), start, reach, steepness=1.0
+    )
     tau_m = np.where(found, x, needed)
-    given = flow.command(s, tau_m) + np.zeros_like(needed)
+    given = flow.held_command(s, tau_m) + np.zeros_like(needed)
     close = found & (np.abs(given - needed) <= REACHED * (1.0 + np.abs(needed)))
     return tau_m, np.where(close, needed, given)
 
@@ -219,8 +244,18 @@ def _link_torque(model: FlexibleJointModel, q: np.ndarray) -> np.ndarray:
     return out
 
 
-def _resting(q: np.ndarray, phi: np.ndarray, tau_t: np.ndarray | float) -> Signals:
-    return Signals(q=q, theta=q + phi, phi=phi, tau_t=tau_t)
+def _resting(
+    q: np.ndarray,
+    phi: np.ndarray,
+    tau_t: np.ndarray | float,
+    tau_m: np.ndarray | None = None,
+    i: int = 0,
+) -> Signals:
+    """Signals of joint i at rest, with the commands tau_m (n, N) of all joints where they are known."""
+    s = Signals(q=q, theta=q + phi, phi=phi, tau_t=tau_t)
+    if tau_m is not None:
+        s.tau_m, (s.tau_m_before, s.tau_m_after) = tau_m[i], neighbours(tau_m, i)
+    return s
 
 
 def _overloaded(flow: JointFlow, pose: int, load: np.ndarray) -> ModelError:

@@ -16,9 +16,11 @@ from flexjoint.clockwork import spans
 from flexjoint.effect import Signals, Site
 from flexjoint.equilibrium import deflection, equilibrium
 from flexjoint.errors import RecordingError, SimulationError
+from flexjoint.flow import neighbours
 from flexjoint.integrate import make_step
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.recording import Recording
+from flexjoint.simulate import command_rate, torque_channel, torque_over
 from flexjoint.smooth import local_polynomial, noise
 
 WIDTH = 4e-3  # [s] kernel of the smoothing, or
@@ -288,19 +290,37 @@ class StateEstimator:
         """(N, nz) internal states of effects along the recording's samples, driven by the smoothed motion."""
         model, time = self.model, self.recording.time
         out = np.tile(model.rest().z, (len(time), 1))
+        torque = self._torques()
         for i, joint in enumerate(model.joints):
             if not model.flows[i].stateful:
                 continue
             q, dq, _ = self._smooth("q", joint.name, time)
             theta, dtheta, _ = (q, dq, None) if joint.rigid else self._smooth("theta", joint.name, time)
-            table = np.stack([time - time[0], q, dq, theta, dtheta], axis=1).tolist()
+            told, *beside = torque[i], *neighbours(torque, i)
+            for slot, value in model.flows[i].settled(Signals(q=q[0], theta=theta[0]), told[0]):
+                out[0, slot] = value
+            columns = np.broadcast_arrays(time - time[0], q, dq, theta, dtheta, told, *beside)
+            table = np.stack(columns, axis=1).tolist()
             z = out[0].tolist()
             for phase, rows in spans(model, time - time[0]):
                 flow = phase.flows[i]
                 for k in range(max(rows.start, 1), rows.stop):
-                    t, q0, dq0, theta0, dtheta0 = table[k - 1]
-                    s = Signals(t, q0, dq0, theta0, dtheta0, theta0 - q0, dtheta0 - dq0)
+                    t, q0, dq0, theta0, dtheta0, *torques = table[k - 1]
+                    s = Signals(t, q0, dq0, theta0, dtheta0, theta0 - q0, dtheta0 - dq0, 0.0, *torques)
                     for slot, value in flow.advanced(s, z, table[k][0] - t):
                         z[slot] = value
                         out[k, slot] = value
+        return out
+
+    def _torques(self) -> np.ndarray:
+        """(n, N) motor torques from each sample to the next, those of the springs where none are recorded: an
+        estimate, for what follows a command within milliseconds."""
+        recording, names, time = self.recording, self.model.robot.joint_names, self.recording.time
+        if torque_channel(recording, names) is not None:
+            edges = np.append(time, time[-1] + recording.period)
+            return torque_over(recording, names, edges, command_rate(recording, self.model.robot)).T
+        out = np.zeros((len(names), len(time)))
+        for i in self.model.flexible:
+            q, theta = (self._smooth(channel, names[i], time)[0] for channel in ("q", "theta"))
+            out[i] = self.model.flows[i].drive.K * (theta - q)
         return out

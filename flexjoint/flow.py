@@ -9,7 +9,7 @@ Schemes, the continuous dynamics, the symbolic model and the sensor readings all
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from flexjoint import ops
@@ -20,6 +20,7 @@ from flexjoint.springs import VariableSpring
 
 STEP = 1e-4  # relative step of the difference quotients below, whose laws are linear or smooth on that scale
 SMALL = 1e-6  # stands for a decay of 0 in (1 - exp(-x)) / x, whose error there is below 1e-6
+SMALL_MEAN = 1e-4  # the same in a mean's (1 - (1 - exp(-x)) / x) / x, which loses more digits
 INVERSION_ROUNDS = 8  # of Newton's method in `corrected`; it squares an error of 1e-2 in each
 
 
@@ -36,17 +37,23 @@ class JointFlow:
     """The effects of one joint in signal-flow order, with its drive numbers as they change them.
 
     At one site, effects act in alphabetical order; among deflections a play comes last, because it is the
-    error of the gear that takes it up.
+    error of the gear that takes it up. Of effects that are `asleep` only the internal state runs.
     """
 
-    def __init__(self, joint: Joint, parts: Sequence[Part], spring: VariableSpring | None = None) -> None:
+    def __init__(
+        self,
+        joint: Joint,
+        parts: Sequence[Part],
+        spring: VariableSpring | None = None,
+        asleep: Sequence[Part] = (),
+    ) -> None:
         self.joint = joint
         self.spring = spring  # commanded, in place of the drive's K and D
         ordered = sorted(parts, key=lambda part: part.effect.name)
         self.drive: Drive = joint.drive
         for part in ordered:
             self.drive = part.effect.edit_drive(self.drive, part.p)
-        self._command = [x for x in ordered if _does(x, Site.COMMAND, "map")]
+        self._command = [x for x in ordered if _does(x, Site.COMMAND, "map", "torque")]
         self._deflection = [x for x in ordered if _does(x, Site.DEFLECTION, "map", "slope")]
         self._deflection.sort(key=lambda part: part.effect.overrides("slope"))
         self._spring = [x for x in ordered if _does(x, Site.SPRING, "torque")]
@@ -56,7 +63,7 @@ class JointFlow:
         self._link_rubbing = [x for x in ordered if _does(x, Site.LINK, "level")]
         self._sensors = [x for x in ordered if x.effect.site is Site.SENSOR]
         self._late = [x for x in ordered if _does(x, Site.COMMAND, "delay")]
-        self.stateful = [x for x in ordered if x.slot >= 0]
+        self.stateful = [x for x in (*ordered, *asleep) if x.slot >= 0]
         self.nonlinear_spring = bool(self._deflection or self._spring or spring)
         self.motor_rubs = bool(self._rubbing)
         self.link_rubs = bool(self._link_rubbing)
@@ -64,10 +71,40 @@ class JointFlow:
         self.busy = bool(acting) or self.motor_rubs or self.link_rubs  # beyond a linear spring and a motor
 
     # --- command ---------------------------------------------------------------------------------
-    def command(self, s: Signals, tau: Value) -> Value:
-        """The motor's torque from the commanded one, delays aside."""
-        for part in self._command:
-            tau = part.effect.map(s, part.p, tau)
+    def command(self, s: Signals, tau: Value, z: Any, ahead: float = 0.0) -> Value:
+        """The motor's torque from the commanded one, delays aside: its mean over the next `ahead` seconds, by
+        which an internal state gives the right impulse however fast it is."""
+        return self._through(self._command, s, tau, lambda part: _mean_state(part, s, z, ahead))
+
+    def held_command(self, s: Signals, tau: Value) -> Value:
+        """The same for a command that has been held for long."""
+        return self._through(self._command, s, tau, lambda part: part.effect.settled(s, part.p))
+
+    def settled(self, s: Signals, tau: Value) -> list[tuple[int, Value]]:
+        """Place and value of each internal state that follows a command, once that has been held for long."""
+        found = []
+        for k, part in enumerate(self._command):
+            if part.slot >= 0:
+                reaching = replace(
+                    s,
+                    tau_m=self._through(
+                        self._command[:k], s, tau, lambda part: part.effect.settled(s, part.p)
+                    ),
+                )
+                found.append((part.slot, part.effect.settled(reaching, part.p)))
+        return found
+
+    def _through(
+        self, parts: Sequence[Part], s: Signals, tau: Value, state: Callable[[Part], Value]
+    ) -> Value:
+        told = s.tau_m
+        for part in parts:
+            if part.slot < 0:
+                tau = part.effect.map(s, part.p, tau)
+            else:
+                s.tau_m = tau
+                tau = tau + part.effect.torque(s, part.p, state(part))
+        s.tau_m = told
         return tau
 
     def command_delay(self) -> Value:
@@ -151,20 +188,23 @@ class JointFlow:
 
     def rates(self, s: Signals, z: Any) -> list[tuple[int, Value]]:
         """Place and time derivative of each internal state."""
-        return self._of_states(s, lambda part: part.effect.rate(s, part.p, z[part.slot]))
+        return self._of_states(s, z, lambda part: part.effect.rate(s, part.p, z[part.slot]))
 
     def advanced(self, s: Signals, z: Any, ahead: float) -> list[tuple[int, Value]]:
         """Place and value, `ahead` seconds on, of each internal state; s holds the signals on the way."""
-        return self._of_states(s, lambda part: _state(part, s, z, ahead))
+        return self._of_states(s, z, lambda part: _state(part, s, z, ahead))
 
-    def _of_states(self, s: Signals, value: Callable[[Part], Value]) -> list[tuple[int, Value]]:
+    def _of_states(self, s: Signals, z: Any, value: Callable[[Part], Value]) -> list[tuple[int, Value]]:
         found = []
         for part in self.stateful:
-            phi, dphi = s.phi, s.dphi
+            phi, dphi, told = s.phi, s.dphi, s.tau_m
             if part.effect.site is Site.SPRING:
                 self._deflect(s)
+            elif part.effect.site is Site.COMMAND:
+                before = [x for x in self._command if x.effect.name < part.effect.name]
+                s.tau_m = self._through(before, s, told, lambda other: z[other.slot])
             found.append((part.slot, value(part)))
-            s.phi, s.dphi = phi, dphi
+            s.phi, s.dphi, s.tau_m = phi, dphi, told
         return found
 
     # --- sensors ---------------------------------------------------------------------------------
@@ -201,6 +241,12 @@ class JointFlow:
         return sum(part.effect.max_delay for part in late)
 
 
+def neighbours(values: Any, i: int) -> tuple[Value, Value]:
+    """What the joints before and after joint i have of values of all joints; 0 where there is none."""
+    count = values.shape[0] if hasattr(values, "shape") else len(values)
+    return values[i - 1] if i > 0 else 0.0, values[i + 1] if i + 1 < count else 0.0
+
+
 def _does(part: Part, site: Site, *methods: str) -> bool:
     return part.effect.site is site and any(part.effect.overrides(method) for method in methods)
 
@@ -217,11 +263,26 @@ def _state(part: Part, s: Signals, z: Any, ahead: float) -> Value:
     now = z[part.slot]
     if not ops.is_symbolic(ahead) and ahead == 0.0:
         return now
-    rate = part.effect.rate(s, part.p, now)
-    step = STEP * (1.0 + ops.absolute(now))
-    decay = (rate - part.effect.rate(s, part.p, now + step)) / step
+    rate, decay = _rate_and_decay(part, s, now)
     x = ops.maximum(ahead * decay, SMALL)
     return now + ahead * rate * (1.0 - ops.exp(-x)) / x
+
+
+def _mean_state(part: Part, s: Signals, z: Any, ahead: float) -> Value:
+    """The internal state's mean over the next `ahead` seconds, exact as `_state` is."""
+    now = z[part.slot]
+    if not ops.is_symbolic(ahead) and ahead == 0.0:
+        return now
+    rate, decay = _rate_and_decay(part, s, now)
+    x = ops.maximum(ahead * decay, SMALL_MEAN)
+    return now + ahead * rate * (1.0 - (1.0 - ops.exp(-x)) / x) / x
+
+
+def _rate_and_decay(part: Part, s: Signals, now: Value) -> tuple[Value, Value]:
+    """The rate of an internal state, and minus its derivative by the state."""
+    rate = part.effect.rate(s, part.p, now)
+    step = STEP * (1.0 + ops.absolute(now))
+    return rate, (rate - part.effect.rate(s, part.p, now + step)) / step
 
 
 def _by_velocity(part: Part, s: Signals, z: Any, ahead: float, name: str) -> tuple[Value, Value]:

@@ -283,7 +283,7 @@ def _point(
             raise ModelError(f"at: expected a State or ({model.nq},) finite link positions, got {at!r}")
         held = equilibrium(own, q)
         state = own.rest(q.copy())
-        state.theta, torque = held.theta[0, list(own.flexible)], held.tau[0]
+        state.theta, state.z, torque = held.theta[0, list(own.flexible)], held.z[0], held.tau[0]
     if tau is not None:
         torque = np.asarray(tau, dtype=float)
         if torque.shape != (n,):

@@ -21,7 +21,7 @@ from typing import Any
 from flexjoint import ops
 from flexjoint.contact import Touch
 from flexjoint.effect import Signals
-from flexjoint.flow import JointFlow
+from flexjoint.flow import JointFlow, neighbours
 from flexjoint.friction import SWEEPS, TINY, directed, settle
 from flexjoint.model import FlexibleJointModel, State
 from flexjoint.ops import Value
@@ -95,7 +95,7 @@ class Midpoint:
             acc = held.acc
         if self.rubbing:
             acc = self._rub(x, q_mid, v_mid, tau, armature, acc, lines)
-        return self._finish(x, acc, c0, c1, lines, touch, held)
+        return self._finish(x, tau_m, acc, c0, c1, lines, touch, held)
 
     def _rub(
         self,
@@ -135,6 +135,7 @@ class Midpoint:
     def _finish(
         self,
         x: State,
+        tau_m: Value,
         acc: Value,
         c0: Value,
         c1: Value,
@@ -162,7 +163,7 @@ class Midpoint:
             elif flow.motor_rubs:
                 line = lines[i]
                 w[k], ddtheta[k] = _rubbed(x.dtheta[k], w_mid[k], line.free, line.shed, h)
-        z = self._advance(x, v_mid, w_mid) if self.stateful else x.z
+        z = self._advance(x, tau_m, v_mid, w_mid) if self.stateful else x.z
         if touch is not None and model.ground is not None:
             rolled = [s + a * rate for s, rate in zip(touch.anchors, touch.rates, strict=True)]
             z = model.ground.with_anchors(model, z, rolled)
@@ -173,12 +174,12 @@ class Midpoint:
             z = model.ground.with_anchors(model, z, forces.ravel().tolist())
         return State(x.t + h, q, v, theta, w, z, acc, ddtheta, tau_rigid)
 
-    def _advance(self, x: State, v_mid: Value, w_mid: Value) -> Value:
+    def _advance(self, x: State, tau_m: Value, v_mid: Value, w_mid: Value) -> Value:
         """Internal states a step later, driven by the midpoint's velocities."""
         model = self.model
         z = ops.copy(x.z)
         q_mid = model.body.integrate(x.q, self.a * v_mid)
-        at = _Midway(model, x, q_mid, v_mid, model.zeros(len(model.joints)))
+        at = _Midway(model, x, q_mid, v_mid, tau_m)
         speeds = model.items(w_mid)
         for i, k, flow in self.special:
             if not flow.stateful:
@@ -240,7 +241,8 @@ def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
     s.tau_t = r + kd * s.dphi
     on_motor, resists = flow.motor(s, at.z, a)
     den = drive.B + a * (drive.D_m + resists + kd)
-    push = drive.B * w + a * (flow.command(s, s.tau_m) + on_motor + resists * s.dtheta - r)
+    told = flow.command(s, s.tau_m, at.z, 2.0 * a)
+    push = drive.B * w + a * (told + on_motor + resists * s.dtheta - r)
     c0, c1, free, shed = push / den, a * kd / den, 0.0, 0.0
     if flow.motor_rubs:
         wanted = push + a * kd * s.dq  # den times the midpoint velocity that dry friction has to stop
@@ -264,7 +266,7 @@ def _rigid(flow: JointFlow, at: _Midway, i: int, a: float) -> Line:
     drive, v = flow.drive, at.v[flow.joint.idx_v]
     on_motor, resists = flow.motor(s, at.z, a)
     on_link, link_resists = flow.link(s, at.z, a)
-    motor = flow.command(s, s.tau_m) + on_motor + resists * (s.dq - v) - drive.D_m * v
+    motor = flow.command(s, s.tau_m, at.z, 2.0 * a) + on_motor + resists * (s.dq - v) - drive.D_m * v
     inertia = drive.B + a * (drive.D_m + resists)
     line = Line(s, motor + on_link + link_resists * (s.dq - v), inertia + a * link_resists)
     line.motor, line.inertia = motor, inertia
@@ -283,13 +285,13 @@ class _Midway:
 
     def signals(self, i: int, k: int, a: float) -> Signals:
         """Of the actuated joint i, the k-th flexible one (-1: rigid); phi from the present velocities."""
-        joint = self.joints[i]
+        joint, beside = self.joints[i], neighbours(self.tau_m, i)
         q, dq, t = self.q_mid[joint.idx_q], self.v_mid[joint.idx_v], self.t + a
         if k < 0:
             tau_t = self.tau_rigid[self.model.rigid.index(i)]
-            return Signals(t, q, dq, q, dq, 0.0, 0.0, tau_t, self.tau_m[i])
+            return Signals(t, q, dq, q, dq, 0.0, 0.0, tau_t, self.tau_m[i], *beside)
         theta, dtheta = self.theta[k] + a * self.dtheta[k], self.dtheta[k] + a * self.ddtheta[k]
-        return Signals(t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, self.tau_m[i])
+        return Signals(t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, self.tau_m[i], *beside)
 
 
 def _rubbed(start: Value, midpoint: Value, free: Value, shed: Value, h: float) -> tuple[Value, Value]:

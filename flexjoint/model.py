@@ -24,7 +24,7 @@ from flexjoint.body import PinBody
 from flexjoint.contact import Ground
 from flexjoint.effect import Planned, Signals
 from flexjoint.errors import ModelError, unknown
-from flexjoint.flow import JointFlow, Part
+from flexjoint.flow import JointFlow, Part, neighbours
 from flexjoint.ops import Value
 from flexjoint.rigid_contact import RigidGround
 from flexjoint.robot import Robot
@@ -98,11 +98,15 @@ class FlexibleJointModel:
         self._check()
         awake = [planned for planned in self.effects if planned.since is None or planned.since <= at]
         self._slots = {planned.key: k for k, planned in enumerate(x for x in self.effects if x.effect.states)}
+        following = [
+            x for x in self.effects if x.effect.overrides("settled") and x.since is not None and x.since > at
+        ]
         self.flows = tuple(
             JointFlow(
                 joint,
                 [self._part(planned) for planned in awake if planned.joint == joint.name],
                 self.springs.get(joint.name),
+                [self._part(planned) for planned in following if planned.joint == joint.name],
             )
             for joint in self.joints
         )
@@ -256,15 +260,18 @@ class FlexibleJointModel:
         return self._remembering_nothing(t, *parts)
 
     # --- continuous dynamics ---------------------------------------------------------------------
-    def signals(self, state: State, i: int, tau_m: Value) -> Signals:
-        """What the laws of the actuated joint i may see at a state; tau_t is 0 for a rigid joint."""
+    def signals(
+        self, state: State, i: int, tau_m: Value, beside: tuple[Value, Value] = (0.0, 0.0)
+    ) -> Signals:
+        """What the laws of the actuated joint i may see at a state; tau_t is 0 for a rigid joint. `beside`
+        are the commands of the joints before and after it."""
         joint = self.joints[i]
         q, dq = state.q[joint.idx_q], state.v[joint.idx_v]
         theta, dtheta = q, dq
         if not joint.rigid:
             k = self.flexible.index(i)
             theta, dtheta = state.theta[k], state.dtheta[k]
-        s = Signals(state.t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, tau_m)
+        s = Signals(state.t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, tau_m, *beside)
         if not joint.rigid:
             s.tau_t = self.flows[i].transmission(s, state.z)
         return s
@@ -278,10 +285,10 @@ class FlexibleJointModel:
         tau, armature = self.zeros(self.nv), self.zeros(self.nv)
         ddtheta, dz, tau_t = self.zeros(self.nf), self.zeros(self.nz), self.zeros(len(self.joints))
         for i, flow in enumerate(self.flows):
-            s = self.signals(state, i, tau_m[i])
+            s = self.signals(state, i, tau_m[i], neighbours(tau_m, i))
             drive, joint = flow.drive, flow.joint
             on_motor, on_link = flow.torques(s, state.z)
-            motor = flow.command(s, tau_m[i]) + on_motor - drive.D_m * s.dtheta
+            motor = flow.command(s, tau_m[i], state.z) + on_motor - drive.D_m * s.dtheta
             link = on_link
             if width is not None:
                 motor = motor - flow.motor_level(s, state.z) * ops.tanh(s.dtheta / width)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.contact_forces import unactuated
+from flexjoint.effect import Signals
 from flexjoint.equilibrium import deflection, equilibrium, holding_torque
 from flexjoint.errors import ModelError
 from flexjoint.model import FlexibleJointModel, State
@@ -56,6 +57,8 @@ def standing(model: FlexibleJointModel, q: np.ndarray) -> Standing:
         flow = model.flows[i]
         link = q[flow.joint.idx_q : flow.joint.idx_q + 1]
         state.theta[k] = link[0] + deflection(flow, link, tau[i : i + 1])[0]
+        for slot, value in flow.settled(Signals(q=link[0], theta=state.theta[k], tau_m=tau[i]), tau[i]):
+            state.z[slot] = value
     state.z = model.ground.carrying(model, state.z, points, forces)
     return Standing(state, tau, forces)
 

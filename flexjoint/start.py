@@ -28,5 +28,6 @@ def at_rest(model: FlexibleJointModel, q: np.ndarray) -> State:
     if model.ground is not None:
         return standing(model, q).state
     state = model.rest(q)
-    state.theta = equilibrium(model, q).theta[0, list(model.flexible)]
+    held = equilibrium(model, q)
+    state.theta, state.z = held.theta[0, list(model.flexible)], held.z[0]
     return state

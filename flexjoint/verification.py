@@ -82,7 +82,7 @@ def verify(
     references = {name: np.tile(row, (ticks, 1)) for name, row in rows.items()}
     state = model.rest(start)
     held = equilibrium(model, start)
-    state.theta = held.theta[0, list(model.flexible)]
+    state.theta, state.z = held.theta[0, list(model.flexible)], held.z[0]
     rate = physics_rate(robot)
     before = math.ceil(longest_delay(model) * rate) + 1
     kept = (held.tau[0], state.q, state.v, state.theta, state.dtheta)

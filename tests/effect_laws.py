@@ -122,6 +122,13 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
             "rate": lambda i: -i.z * abs(i.s.dtheta) / i.p.distance,
         },
     ),
+    "current_lag": (
+        "time_constant s",
+        {
+            "torque": lambda i: -i.s.tau_m + i.z,
+            "rate": lambda i: i.s.tau_m / i.p.time_constant - i.z / i.p.time_constant,
+        },
+    ),
     "dahl_friction": (
         "level N m, scale rad",
         {"torque": lambda i: -i.z, "rate": lambda i: _dahl(i.s.dtheta, i.z, i.p)},
@@ -137,6 +144,11 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
     "encoder_ripple": (
         "amplitude rad, cycles 1, phase rad",
         {"map": lambda i: i.x + i.p.amplitude * np.sin(i.p.cycles * i.x + i.p.phase)},
+    ),
+    "joint_coupling": ("share 1", {"map": lambda i: i.p.share * i.s.tau_m_before + i.x}),
+    "periodic_disturbance": (
+        "amplitude N m, frequency Hz, phase rad",
+        {"torque": lambda i: i.p.amplitude * np.cos(np.pi * (2 * i.p.frequency * i.s.t - 0.5) + i.p.phase)},
     ),
     "quadratic_drag": (
         "coefficient N m s^2/rad^2",

@@ -168,7 +168,7 @@ def states(effect: Effect, s: Signals, p: Any) -> np.ndarray:
     a = b - effect.rate(s, p, np.ones_like(s.t))
     left = np.exp(np.maximum(-a / RATE, -300.0))
     gained = b * np.where(a > 1e-12, (1 - left) / np.maximum(a, 1e-12), 1 / RATE)
-    z = np.full_like(s.t, effect.states[0])
+    z = np.full_like(s.t, np.ravel(effect.settled(s, p))[0])
     for n in range(1, len(z)):
         before = z[n - 1] if abs(z[n - 1]) > 1e-150 else 0.0  # what has faded does not underflow
         z[n] = left[n] * before + gained[n]
@@ -185,6 +185,7 @@ PLANTED: dict[str, tuple[dict[str, float], ...]] = {
         {"amplitude": 0.3, "cycles": 1, "phase": 0.4},
         {"amplitude": 0.05, "cycles": 47.5, "phase": 1.1},
     ),
+    "current_lag": ({"time_constant": 0.0022}, {"time_constant": 0.05}),
     "dahl_friction": ({"level": 0.5, "scale": 0.0056}, {"level": 2, "scale": 0.05}),
     "encoder_eccentricity": ({"amplitude": 1e-3, "phase": 3.0}, {"amplitude": 0.01, "phase": -1.0}),
     "encoder_ripple": (
@@ -197,6 +198,10 @@ PLANTED: dict[str, tuple[dict[str, float], ...]] = {
         {"position": 0.3, "stiffness": 50},
     ),
     "friction_drift": ({"level": 1, "time_constant": 1.7}, {"level": 1, "time_constant": 20}),
+    "periodic_disturbance": (
+        {"amplitude": 0.5, "frequency": 4.3, "phase": 2.0},
+        {"amplitude": 0.1, "frequency": 23.0, "phase": -1.0},
+    ),
     "rough_spot": (
         {"level": 1, "position": 0.41, "width": 0.08},
         {"level": 1, "position": -0.6, "width": 0.4},
@@ -233,6 +238,8 @@ def test_local_search_from_the_best_start_finds_what_was_planted(
     if name == "encoder_ripple":  # what it looks for shows in the deflection that the encoders make
         s.phi = s.phi - target
         s.theta = s.q + s.phi
+    if name == "periodic_disturbance":  # which the spring carries
+        s.phi = s.phi - target / 300
     names = list(planted)
     bounds = {p.name: p for p in effect.params}
     scale = np.sqrt(np.mean(target**2))

@@ -19,9 +19,13 @@ EFFECTS = list(catalogue().values())
 every_effect = pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
 SIGNALS = tuple(f.name for f in fields(Signals))
 # Typical sizes [SI] of the signals of a joint of some 30 N m; steps and neighbourhoods are relative to them.
-SIZE = {"t": 3, "q": 1, "dq": 2, "theta": 1, "dtheta": 2, "phi": 0.02, "dphi": 0.5, "tau_t": 20, "tau_m": 30}
+SIZE = {
+    **{"t": 3, "q": 1, "dq": 2, "theta": 1, "dtheta": 2, "phi": 0.02, "dphi": 0.5, "tau_t": 20},
+    **{"tau_m": 30, "tau_m_before": 30, "tau_m_after": 30},
+}
 INPUT_OF = {Site.COMMAND: "tau_m", Site.DEFLECTION: "phi"}  # what `map` maps; a SENSOR any reading
-OWN = 28  # where an effect's own parameters begin in the flat vector of `inputs`
+SEEN = len(SIZE) + 2  # signals, x and z: what changes along a recording
+OWN = SEEN + 17  # where an effect's own parameters begin in the flat vector of `inputs`
 EDITS = ("edit_drive", "edit_inertial", "edit_gravity")
 PIECES = ("map", "slope", "torque", "level", "rate", "delay", *EDITS)
 
@@ -57,10 +61,10 @@ def inputs(effect: Effect, vector: Any) -> Inputs:
     for param in effect.params:
         values[param.name] = v[at] if param.size == 1 else tuple(v[at : at + param.size])
         at += param.size
-    drive = Drive(*v[11:15])
-    s = Signals(**dict(zip(SIGNALS, v[:9], strict=True)))
+    body, x, z = v[SEEN:OWN], *v[SEEN - 2 : SEEN]
+    s = Signals(**dict(zip(SIGNALS, v[: len(SIGNALS)], strict=True)))
     p = effect.parameters(values)
-    return Inputs(s=s, x=v[9], z=v[10], drive=drive, inertial=v[15:25], gravity=v[25:28], p=p)
+    return Inputs(s=s, x=x, z=z, drive=Drive(*body[:4]), inertial=body[4:14], gravity=body[14:], p=p)
 
 
 def piece(effect: Effect, name: str, i: Inputs) -> list[Any]:
@@ -176,10 +180,10 @@ def test_numpy_is_casadi(effect: Effect) -> None:
     function, rng = symbolic(effect), np.random.default_rng(2)
     for _ in range(3):
         rows = np.array([sample(effect, rng) for _ in range(40)])
-        rows[:, 11:] = rows[0, 11:]  # one set of parameters
-        rows[0, :11] = 0.0  # at rest
+        rows[:, SEEN:] = rows[0, SEEN:]  # one set of parameters
+        rows[0, :SEEN] = 0.0  # at rest
         # over a whole recording at once: signals are arrays, parameters numbers
-        arrays = outputs(effect, [*rows[:, :11].T, *rows[0, 11:].tolist()])
+        arrays = outputs(effect, [*rows[:, :SEEN].T, *rows[0, SEEN:].tolist()])
         for column in arrays:
             assert np.shape(column) in ((), (len(rows),)) and np.all(np.isfinite(column))
         for n, row in enumerate(rows):
@@ -197,7 +201,7 @@ def test_finite_at_all_bounds_and_no_negative_friction(effect: Effect) -> None:
     for _ in range(20):
         vector = sample(effect, rng)
         vector[OWN:] = [rng.choice((p.low, p.high)) for p in effect.params for _ in range(p.size)]
-        for at in (vector, np.where(np.arange(len(vector)) < 11, 0.0, vector)):
+        for at in (vector, np.where(np.arange(len(vector)) < SEEN, 0.0, vector)):
             assert np.all(np.isfinite(np.array(outputs(effect, at.tolist()), dtype=float)))
             assert np.all(np.isfinite(np.array(function(at)[1]))), "derivatives too"
             assert effect.level(inputs(effect, at).s, inputs(effect, at).p, 0.5) >= 0.0
@@ -210,6 +214,8 @@ def test_absent_at_null(effect: Effect) -> None:
     for _ in range(40):
         i = inputs(effect, sample(effect, rng))
         i.p = i.p._replace(**{p.name: p.null for p in effect.nulls})
+        if effect.overrides("settled"):  # an absent effect's state follows its signals at once
+            z = effect.settled(i.s, i.p)
         assert effect.map(i.s, i.p, i.x) == i.x
         assert effect.slope(i.s, i.p) == (1.0 if effect.site is Site.DEFLECTION else 0.0)
         assert effect.level(i.s, i.p, z) == 0.0 and effect.delay(i.p) == 0.0
@@ -241,7 +247,8 @@ def test_derivatives_are_finite_differences(effect: Effect) -> None:
     for vector in points:
         exact = np.array(function(vector)[1])
         size = np.abs(vector)
-        size[:9] = np.maximum(size[:9], 0.01 * np.array(list(SIZE.values())))
+        signals = slice(len(SIZE))
+        size[signals] = np.maximum(size[signals], 0.01 * np.array(list(SIZE.values())))
         size = np.maximum(size, 1e-6)
         for n, step in enumerate(2e-6 * size):
             # fourth-order central difference: the truncation error stays below 1e-9 for 100 cycles a turn

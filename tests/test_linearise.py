@@ -173,8 +173,11 @@ def test_kinks_are_found_in_the_laws() -> None:
     smooth = {
         "cable_spring",
         "cogging",
+        "current_lag",
         "hardening_spring",
+        "joint_coupling",
         "payload",
+        "periodic_disturbance",
         "spring_creep",
         "spring_stiffness",
         "torque_gain",

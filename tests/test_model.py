@@ -205,7 +205,7 @@ def test_every_effect_changes_the_motion_or_a_reading(planned: Planned) -> None:
     nominal, model = FlexibleJointModel(robot, []), FlexibleJointModel(robot, [planned])
     state = model.rest(np.array([0.3, 0.4, -0.5]))
     state.theta, state.dtheta = state.theta + 0.02, np.array([0.5, 1.5, -0.3])
-    state.v, state.z = np.array([0.4, 1.2, 0.1]), state.z + 0.01
+    state.v, state.z, state.t = np.array([0.4, 1.2, 0.1]), state.z + 0.01, 0.02
     tau = np.array([4.0, 12.0, 3.0])
     plain = nominal.unpack(nominal.pack(nominal.rest()))
     for name in ("q", "v", "theta", "dtheta"):
@@ -226,4 +226,4 @@ def test_flow_orders_effects_alphabetically_whatever_the_order_they_come_in() ->
     items = [plan("torque_gain", "joint", {"gain": 1.0}), plan("torque_offset", "joint", {"offset": 3.0})]
     for parts in (items, items[::-1]):
         flow = JointFlow(robot.joints[0], [Part(x.effect, x.p) for x in parts])
-        assert flow.command(Signals(), 5.0) == 13.0  # (1 + gain) tau, then the offset
+        assert flow.command(Signals(), 5.0, []) == 13.0  # (1 + gain) tau, then the offset

@@ -20,6 +20,7 @@ from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.signals import reach_of_ends
 from flexjoint.diagnose.states import state_along
 from flexjoint.effect import Drive, Planned, Signals, Site
+from flexjoint.flow import neighbours
 
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
 REMEMBERED = 2e7  # bytes of chains
@@ -163,14 +164,16 @@ class Chains:
     def _command(self, i: int, effects: Sequence[Planned]) -> np.ndarray:
         base = self.base(i)
         torque = base.torque
+        signals = Signals(t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta)
+        signals.tau_m_before, signals.tau_m_after = neighbours(self.motion.readings.torque, i)
         for e in effects:
-            p, before = e.p, torque
-            signals = Signals(
-                t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta, tau_m=torque
-            )
+            p, before, signals.tau_m = e.p, torque, torque
             if e.effect.overrides("delay"):
                 torque = _later(torque, float(e.effect.delay(p)) / self.period)
-            torque = self._since(e, e.effect.map(signals, p, torque), before)
+            torque = e.effect.map(signals, p, torque)
+            if e.effect.states:
+                torque = torque + e.effect.torque(signals, p, state_along(e, signals, self.period, 0))
+            torque = self._since(e, torque, before)
         return torque
 
     def _spring(

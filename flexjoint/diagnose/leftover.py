@@ -45,8 +45,11 @@ def views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
             "tau_t": signals.tau_t,
             "phi": signals.phi,
             "tau_m": signals.tau_m,
+            "tau_m_before": signals.tau_m_before,
+            "tau_m_after": signals.tau_m_after,
             "t": signals.t,
         }
+        axes = {name: x for name, x in axes.items() if name == "t" or np.ptp(x) > 0.0}
         out.append(ResidualView(joint.name, row.balance, signals.t, old, new, float(expected), axes))
     return tuple(out)
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from flexjoint.effect import Planned, Signals
 
+SMALL = 1e-4  # decay over a step below which a series is taken: quotients of small numbers lose their digits
+MOST = 300.0  # decay over a step that leaves nothing, short of underflow
+
 
 def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.ndarray:
     """(N,) an effect's state on signals (N,) sampled every `period` seconds, usable from sample `begin` on.
 
-    Rates are affine in the state, so that each step is exact for signals held over it; a step sees the mean
-    of both its ends, as a state would otherwise lag by half a sample."""
-    one, held = np.ones_like(signals.phi), {}
+    Rates are affine in the state, so that each step is exact for a drive that changes linearly over it, with
+    the mean decay of both its ends."""
+    one, held = np.ones_like(signals.t), {}
     for name in ("dq", "dtheta", "dphi"):
         # before it the filter sees the record's edge, and a state would keep what that does
         held[name] = getattr(signals, name) * one
@@ -22,11 +25,14 @@ def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.n
     signals, p = replace(signals, **held), e.p
     offset = e.effect.rate(signals, p, 0.0 * one) * one
     decay = offset - e.effect.rate(signals, p, one)
-    offset, decay = _mean_of_ends(offset), _mean_of_ends(decay)
-    keep = np.exp(-np.clip(decay, 0.0, 1e5) * period)
-    gain = np.where(decay * period < 1e-6, period, (1.0 - keep) / np.maximum(decay, 1e-12))
-    z, out = float(e.effect.states[0]), []
-    for k, a in zip(keep.tolist(), (gain * offset).tolist(), strict=True):
+    first = Signals(**{f.name: float(np.ravel(getattr(signals, f.name))[0]) for f in fields(Signals)})
+    x = np.maximum(_mean_of_ends(decay) * period, 0.0)
+    keep, divisor = np.exp(-np.minimum(x, MOST)), np.maximum(x, SMALL)
+    mean = np.where(x < SMALL, 1.0 - 0.5 * x, (1.0 - keep) / divisor)  # of exp(-x) over the step
+    late = np.where(x < SMALL, 0.5 - x / 6.0, (1.0 - mean) / divisor)  # share of the drive at the step's end
+    add = period * ((mean - late) * offset + late * np.append(offset[1:], offset[-1:]))
+    z, out = float(e.effect.settled(first, p)), []
+    for k, a in zip(keep.tolist(), add.tolist(), strict=True):
         out.append(z)
         z = k * z + a
     return np.array(out)

@@ -9,7 +9,7 @@ import numpy as np
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.worth import FINER_ERROR, leftover, score
 from flexjoint.diagnosis import Tie
-from flexjoint.effect import Planned
+from flexjoint.effect import Kind, Planned
 
 TIE = 12.0  # score by which a rival may lose and still fit as well
 MOVED = 12.0  # more where readings are moved in time, which brings other noise at the record's edges
@@ -32,7 +32,7 @@ def ties(
     negligible = FINER_ERROR * explained
     for rival in rivals:
         other = rival.effects[-1]
-        delays = [e.effect.overrides("delay") for e in (planned, other)]
+        delays = [e.effect.kind is Kind.TIMING for e in (planned, other)]
         moved = any(delays)
         margin = TIE + (MOVED if moved else 0.0) + 0.05 * leftover(best)
         behind = score(rival) - score(best)

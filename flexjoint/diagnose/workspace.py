@@ -23,6 +23,7 @@ from flexjoint.diagnose.nuisance import Columns
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.whitening import Band
 from flexjoint.effect import Planned, Signals
+from flexjoint.flow import neighbours
 
 PLAUSIBLE = 2.5  # prior deviations up to which a nominal number may be off before a cause must be sought
 TEMPER_ROUNDS = 12
@@ -350,7 +351,8 @@ class Workspace:
             return Signals(t=t)
         i = self.robot.joint_names.index(joint)
         q, theta = self.motion.q[i], self.motion.theta[i]
-        torque = self.readings.torque[i]
+        torque = np.where(np.isfinite(self.readings.torque), self.readings.torque, 0.0)[:, used]
+        before, after = (x * np.ones(t.size) for x in neighbours(torque, i))
         return Signals(
             t=t,
             q=q[used],
@@ -360,7 +362,9 @@ class Workspace:
             phi=(theta - q)[used],
             dphi=smooth(theta - q, 1)[used],
             tau_t=self.motion.rigid.tau[i][used],
-            tau_m=np.where(np.isfinite(torque), torque, 0.0)[used],
+            tau_m=torque[i],
+            tau_m_before=before,
+            tau_m_after=after,
         )
 
     # ------------------------------------------------------------------ nominal numbers

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from flexjoint.effect import Param
+from flexjoint.effect import Param, Signals
 
 MAX_CYCLES = 60
 RIPPLES = 2  # strongest ripples of a signal that are tried
@@ -35,6 +35,14 @@ def whole_cycles(theta: Any) -> range:
     if travel * MAX_CYCLES <= 0.5 * pi:
         return range(MAX_CYCLES, MAX_CYCLES + 1)
     return range(max(1, floor(0.5 * pi / travel)), MAX_CYCLES + 1)
+
+
+def rhythms(s: Signals) -> tuple[float, ...]:
+    """Frequencies [Hz] of the strongest oscillations that a joint's deflection or command has beside what its
+    load and its speed make of them; 1 Hz where it has none."""
+    motion = s.tau_t, s.dtheta, s.dphi
+    found = (*ripple_cycles(s.t, s.phi, motion, s.t), *ripple_cycles(s.t, s.tau_m, motion, s.t))
+    return tuple(omega / (2.0 * pi) for omega in found) or (1.0,)
 
 
 def ripple_cycles(angle: Any, signal: Any, known: Iterable[Any], t: Any) -> tuple[float, ...]:

@@ -22,6 +22,8 @@ SIGNALS: Mapping[str, tuple[str, str]] = {
     "dphi": ("deflection rate", "rad/s"),
     "tau_t": ("spring torque tau_t", "N m"),
     "tau_m": ("motor torque command tau_m", "N m"),
+    "tau_m_before": ("torque command of the joint before", "N m"),
+    "tau_m_after": ("torque command of the joint after", "N m"),
     "tau_motor": ("measured motor torque tau_motor", "N m"),
 }
 NOTHING = "–"

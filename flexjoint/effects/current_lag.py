@@ -1,0 +1,41 @@
+"""The motor's current follows its command late."""
+
+from typing import Any
+
+import numpy as np
+
+from flexjoint import ops
+from flexjoint.effect import Effect, Kind, Param, Signals, Site
+from flexjoint.effects._starts import grid
+from flexjoint.ops import Value
+
+SHORTEST = 1e-7  # s, below which a lag is none
+
+
+class CurrentLag(Effect):
+    """The current loop follows its command like a first-order lag. A short one looks like a dead time.
+
+    Its state z is the torque that the motor gives, the command once that has held for long.
+    """
+
+    site, kind, against, reference = (
+        Site.COMMAND,
+        Kind.TIMING,
+        "t",
+        "Hughes and Drury 2013, chapter 4 (current loop)",
+    )
+    law = r"\tau = z,\ \dot z = (\tau_m - z)/T"
+    params = (Param("time_constant", "s", "T", 2e-3, 0.0, 0.5),)
+    states = (0.0,)
+
+    def torque(self, s: Signals, p: Any, z: Value) -> Value:
+        return z - s.tau_m
+
+    def rate(self, s: Signals, p: Any, z: Value) -> Value:
+        return (s.tau_m - z) / ops.maximum(p.time_constant, SHORTEST)
+
+    def settled(self, s: Signals, p: Any) -> Value:
+        return s.tau_m
+
+    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
+        return grid(self.params, time_constant=np.array((1e-3, 3e-3, 0.01, 0.03, 0.1)))

@@ -1,0 +1,26 @@
+"""The drive of a neighbouring joint acts on this one too."""
+
+from typing import Any
+
+from flexjoint.effect import Effect, Param, Signals, Site, Word
+from flexjoint.ops import Value
+
+
+class JointCoupling(Effect):
+    """A share of what the joint before or after it is commanded acts on this joint's motor too.
+
+    So do a differential, tendons or belts whose drives are not decoupled as the model says, and a drive that
+    picks up its neighbour's signal. Before and after are in the robot's order of joints.
+    """
+
+    site, against, reference = (
+        Site.COMMAND,
+        "tau_m_before",
+        "Siciliano et al. 2009, section 5.1 (transmissions)",
+    )
+    law = r"\tau = \tau_m + c\,\tau_{m,\,\mathrm{neighbour}}"
+    params = (Param("share", "1", "c", 0.05, -20.0, 20.0),)
+    words = (Word("side", ("before", "after"), "before"),)
+
+    def map(self, s: Signals, p: Any, x: Value) -> Value:
+        return x + p.share * (s.tau_m_before if p.side == "before" else s.tau_m_after)
