@@ -10,8 +10,8 @@ from zlib import crc32
 
 import numpy as np
 
+from .catalogue import Planted
 from .chain import Array
-from .laws import Planted
 from .robots import Robot
 
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")
@@ -159,7 +159,7 @@ def _since(planted: Planted) -> float:
 
 
 def _channel(planted: Planted) -> str | None:
-    if planted.effect == "encoder_eccentricity":
+    if planted.effect in ("encoder_eccentricity", "encoder_ripple"):
         return planted.word("channel")
     return {"link_encoder_offset": "q", "motor_encoder_offset": "theta"}.get(planted.effect, "tau_t")
 
@@ -167,6 +167,9 @@ def _channel(planted: Planted) -> str | None:
 _SENSOR_LAWS = {  # in the order in which they act on one sensor
     "torque_sensor_gain": lambda p, x: (1 + p.value("gain")) * x,
     "encoder_eccentricity": lambda p, x: x + p.value("amplitude") * np.sin(x + p.value("phase")),
+    "encoder_ripple": lambda p, x: (
+        x + p.value("amplitude") * np.sin(p.value("cycles") * x + p.value("phase"))
+    ),
     "link_encoder_offset": lambda p, x: x + p.value("offset"),
     "motor_encoder_offset": lambda p, x: x + p.value("offset"),
     "torque_sensor_offset": lambda p, x: x + p.value("offset"),
