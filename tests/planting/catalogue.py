@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from .robots import Robot
 
 
@@ -120,6 +122,11 @@ class Planted:
                 raise ValueError(
                     f"{self.effect}: {name} is one of {', '.join(words)}, got {self.word(name)!r}"
                 )
+
+    @property
+    def start(self) -> float:
+        """`since`, or before all time."""
+        return -np.inf if self.since is None else self.since
 
     def value(self, name: str) -> float:
         return float({**law(self.effect).defaults, **self.parameters}[name])  # type: ignore[arg-type]

@@ -127,7 +127,7 @@ class Sensors:
             change = _SENSOR_LAWS.get(planted.effect)
             if change is not None and channel == _channel(planted):
                 j = self.robot.index(planted.joint)
-                on = times >= _since(planted)
+                on = times >= planted.start
                 value[:, j] = np.where(on, change(planted, value[:, j]), value[:, j])
         return value
 
@@ -150,12 +150,8 @@ class Sensors:
         for planted in self.effects:
             if planted.effect == "sensor_delay" and planted.word("channel") in (None, DELAYED_WITH[channel]):
                 joints = slice(None) if planted.joint is None else [self.robot.index(planted.joint)]
-                delays[:, joints] += planted.value("delay") * (times >= _since(planted))[:, None]
+                delays[:, joints] += planted.value("delay") * (times >= planted.start)[:, None]
         return delays
-
-
-def _since(planted: Planted) -> float:
-    return -np.inf if planted.since is None else planted.since
 
 
 def _channel(planted: Planted) -> str | None:

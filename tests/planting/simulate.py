@@ -151,7 +151,7 @@ def _closed_loop(
     values = {channel: np.zeros((ticks * substeps + 1, n)) for channel in MEASURED}
     motion = Motion(told.times[0], period / substeps, values)
     reading = Sensors(nominal, effects, sensors, ticks, rng)
-    gate_since = np.array([-np.inf if p.since is None else p.since for p in effects])
+    gate_since = np.array([p.start for p in effects])
     drive = _Drive(nominal, effects, told.tau_ff[0], ticks, substeps)
     tau_m, applied = np.zeros((ticks, n)), np.zeros((ticks * substeps + 1, n))
 
@@ -203,7 +203,7 @@ class _Drive:
         the lag follows it."""
         held = command.copy()
         for p in self.on_held:
-            if _on(p, t):
+            if t >= p.start - 1e-9:
                 j = self.robot.index(p.joint)
                 if p.effect == "torque_gain":
                     held[j] *= 1 + p.value("gain")
@@ -216,7 +216,7 @@ class _Drive:
         self.held[tick] = held
         torque = np.repeat(held[None], self.substeps, axis=0)
         for p in self.delays:
-            if _on(p, t):
+            if t >= p.start - 1e-9:
                 joints = range(len(held)) if p.joint is None else [self.robot.index(p.joint)]
                 for j in joints:
                     torque[:, j] = self._delayed(tick, p.value("delay") * self.robot.control_rate, j)
@@ -224,7 +224,7 @@ class _Drive:
         now = asked[0] if self.last is None else self.last  # settled at the start
         self.last = asked[-1].copy()
         for p in self.lags:
-            if _on(p, t):
+            if t >= p.start - 1e-9:
                 j = self.robot.index(p.joint)
                 torque[:, j], self.last[j] = self._lagging(asked[:, j], now[j], p.value("time_constant"))
         return torque
@@ -237,7 +237,7 @@ class _Drive:
             j = self.robot.index(p.joint)
             stall, drop = p.value("stall"), p.value("drop") * speed[:, j]
             clipped = np.clip(torque[:, j], -stall - drop, stall - drop)
-            torque[:, j] = np.where(_on(p, times), clipped, torque[:, j])
+            torque[:, j] = np.where(times >= p.start - 1e-9, clipped, torque[:, j])
         return torque
 
     def _lagging(self, asked: Array, now: float, time_constant: float) -> tuple[Array, float]:
@@ -261,11 +261,6 @@ class _Drive:
 
     def _past(self, ticks: Array, j: int) -> Array:
         return np.where(ticks < 0, self.initial[j], self.held[np.maximum(ticks, 0), j])
-
-
-def _on(planted: Planted, t: float | Array) -> Array | bool:
-    """Whether the effect acts at t."""
-    return t >= (-np.inf if planted.since is None else planted.since) - 1e-9
 
 
 def _record(
@@ -326,7 +321,7 @@ def _by_current(run: _Run, effects: list[Planted], times: Array) -> Array:
         for p in effects:
             if p.effect == effect:
                 j = robot.index(p.joint)
-                torque[:, j] = np.where(_on(p, at), undo(p, torque[:, j]), torque[:, j])
+                torque[:, j] = np.where(at >= p.start - 1e-9, undo(p, torque[:, j]), torque[:, j])
     impulse = np.vstack([np.zeros(torque.shape[1]), np.cumsum(torque[:-1], axis=0)]) * run.motion.step
     half = 0.5 / robot.control_rate
     ends = [np.array([np.interp(times + s * half, at, column) for column in impulse.T]).T for s in (1, -1)]

@@ -174,15 +174,16 @@ def test_a_step_follows_an_independent_solver():
     robot = read_robot(LEVER)
     k, d, b, dm = (x[0] for x in (robot.stiffness, robot.damping, robot.motor_inertia, robot.motor_damping))
     limit = Planted("torque_speed_limit", JOINT, {"stall": 20.0, "drop": 6.0})
+    inertia, flat, upright = lever_inertia(), lever_gravity(0.0), lever_gravity(np.pi / 2)
 
     def slope(t, x):
         q, dq, theta, w, z = x
         spring_torque = k * (theta - q) + d * (w - dq) + 80.0 * z
-        link = spring_torque - lever_gravity(q) - 1.5 * abs(dq) * dq
+        link = spring_torque - flat * np.cos(q) - upright * np.sin(q) - 1.5 * abs(dq) * dq
         link += 1.2 * np.sin(2 * np.pi * 4.0 * t + 0.7)
         drive = min(max(25.0, -20.0 - 6.0 * w), 20.0 - 6.0 * w)
         motor = drive - spring_torque - dm * w
-        return [dq, link / lever_inertia(), w, motor / b, w - dq - z / 0.4]
+        return [dq, link / inertia, w, motor / b, w - dq - z / 0.4]
 
     x0 = np.array([0.1, 0.2, 0.12, 0.3, 0.0])
     exact = solve_ivp(slope, (0, 1), x0, method="DOP853", rtol=1e-10, atol=1e-12, max_step=1e-3).y[:, -1]

@@ -46,10 +46,16 @@ without a right name.
 """
 
 
+BEYOND_WORDS = """
+Part *beyond*: effects that no other part plants, and that no figure of the other sections counts.
+"""
+
+
 def markdown(records: Sequence[Record]) -> str:
     """The page."""
     parts = [HEAD, _made(records), _headline(records)]
-    first = [r for r in records if r["part"] != "beyond"]  # what the sections about all parts are of
+    first = _first(records)
+    words = {"single": OUTCOME_WORDS, "beyond": BEYOND_WORDS}
     titles = {
         "single": "Single causes",
         "double": "Two causes",
@@ -59,7 +65,7 @@ def markdown(records: Sequence[Record]) -> str:
     for part, title in titles.items():
         these = summary.of(records, part)
         if these:
-            parts.append(f"\n## {title}\n{OUTCOME_WORDS if part == 'single' else ''}")
+            parts.append(f"\n## {title}\n{words.get(part, '')}")
             parts.append(_detection(these))
             parts.append(_breakdown(these))
             parts.append(_confusion(these))
@@ -129,10 +135,14 @@ def _headline(records: Sequence[Record]) -> str:
     errors = summary.relative_errors(_with_causes(records))
     if errors.size:
         rows.append(("error of the main parameter, median", _percent(float(np.median(errors))), "2 %"))
-    first = [r for r in records if r["part"] != "beyond"]
-    if first:
+    if first := _first(records):
         rows.append(("seconds a case, median", f"{summary.seconds(first)[1]:.2f}", "5"))
     return "\n## In short\n" + table(("what", "measured", "goal"), rows)
+
+
+def _first(records: Sequence[Record]) -> list[Record]:
+    """What the figures over several parts are of."""
+    return [r for r in records if r["part"] != "beyond"]
 
 
 def _with_causes(records: Sequence[Record]) -> list[Record]:
