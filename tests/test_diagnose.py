@@ -8,7 +8,7 @@ from functools import cache
 
 import pytest
 from diagnose_cases import Case, found_in, summary
-from planting import CATALOGUE, Planted
+from planting import BEYOND, CATALOGUE, Planted
 
 from flexjoint.diagnosis import Diagnosis, to_json
 from flexjoint.effect import catalogue
@@ -122,6 +122,10 @@ def diagnosis(case: Case, *names: str) -> Diagnosis:
 def test_every_effect_of_the_catalogue_that_can_be_planted_is_tested() -> None:
     assert {s.cause.effect for s in SINGLES} == set(CATALOGUE)
     assert set(CATALOGUE) <= set(catalogue())
+
+
+def test_every_effect_that_came_later_is_one_of_the_catalogue() -> None:
+    assert set(BEYOND) <= set(catalogue())
 
 
 @pytest.mark.parametrize("single", SINGLES, ids=lambda s: s.name)

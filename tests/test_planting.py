@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pyarrow.parquet
 import pytest
-from planting import CATALOGUE, FULL, PERFECT, ROBOTS, Planted, plant, read_robot, simulate
+from planting import BEYOND, CATALOGUE, FULL, PERFECT, ROBOTS, Planted, plant, read_robot, simulate
 from planting.by_hand import JOINT, LEVER, lever_gravity
 from planting.cases import all_cases, single_cases, usual_effect, usual_excitation, write_case
 from planting.sensing import robot_noise
@@ -32,13 +32,15 @@ def effect_of(name):
     special = {
         "torque_saturation": {"limit": 12.0},
         "end_stop": {"position": 0.5 * q.flat[np.abs(q).argmax()], "stiffness": 4000.0},
+        "torque_speed_limit": {"stall": 12.0, "drop": 1.0},
+        "rough_spot": {"level": 9.6, "position": 0.2, "width": 0.1},
     }
     if name in special:
         return Planted(name, JOINT, special[name])
     return usual_effect(name, "lever", JOINT, np.random.default_rng(5))
 
 
-@pytest.mark.parametrize("effect", CATALOGUE)
+@pytest.mark.parametrize("effect", [e for e in (*CATALOGUE, *BEYOND) if e != "joint_coupling"])
 def test_every_effect_leaves_a_mark_above_the_noise(effect):
     kind = usual_excitation(effect)
     changed, healthy = lever_recording(kind, effect), lever_recording(kind)
@@ -148,7 +150,18 @@ def test_backlash_is_free_inside_its_gap():
 
 
 @pytest.mark.parametrize(
-    "effect", ["motor_coulomb_friction", "torque_gain", "payload", "end_stop", "link_encoder_offset"]
+    "effect",
+    [
+        "motor_coulomb_friction",
+        "torque_gain",
+        "payload",
+        "end_stop",
+        "link_encoder_offset",
+        "dahl_friction",
+        "periodic_disturbance",
+        "torque_speed_limit",
+        "quadratic_drag",
+    ],
 )
 def test_since_switches_on_during_the_recording(effect):
     kind = usual_excitation(effect)
@@ -199,6 +212,8 @@ def test_cases_cover_the_catalogue_and_repeat():
     assert len({case.name for case in cases}) == len(cases)
     singles = [case for case in cases if case.name.startswith("single_")]
     assert {case.effects[0].effect for case in singles} == set(CATALOGUE)
+    later = single_cases(1, effects=tuple(BEYOND))
+    assert [case.effects[0].effect for case in later] == list(BEYOND)
     few = ("backlash", "payload", "torque_gain")
     assert single_cases(1, effects=few) == single_cases(1, effects=few) != single_cases(2, effects=few)
 

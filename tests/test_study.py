@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from diagnose_cases import Case, as_recording, nominal
-from planting import CATALOGUE, Planted
+from planting import BEYOND, CATALOGUE, ROBOTS, Planted, read_robot
 from study import run as study_run
 from study import summary
 from study.cases import COUNTS, SENSORS, make
@@ -164,6 +164,42 @@ def test_the_plan_covers_what_the_study_claims() -> None:
     sizes = [c.size for c in cases]
     assert min(sizes) < 0.03 and max(sizes) > 0.95
     assert all(set(c.excluded) == {c.case.effects[0].effect} for c in (make("struck", n) for n in range(8)))
+
+
+def test_effects_that_came_later_have_a_part_of_their_own() -> None:
+    assert COUNTS["beyond"] == 12 * len(BEYOND)
+    sized = ("torque_speed_limit", "rough_spot")  # planted to be sized
+    numbers = [n for n in range(COUNTS["beyond"]) if list(BEYOND)[n // 12] not in sized]
+    cases = [make("beyond", n) for n in numbers]
+    assert [c.case.effects[0].effect for c in cases] == [list(BEYOND)[n // 12] for n in numbers]
+    assert min(c.size for c in cases) < 0.03 and max(c.size for c in cases) > 0.9
+    for case in cases:
+        (planted,) = case.case.effects
+        if planted.effect in ("current_lag", "joint_coupling"):
+            assert case.sensors not in ("torque from current", "link side only")
+        if planted.effect == "joint_coupling":
+            assert len(read_robot(ROBOTS / f"{case.case.robot}.yaml").joints) > 1
+
+
+def test_the_page_shows_them_and_leaves_the_other_figures_alone() -> None:
+    def planted(part: str, *found: dict[str, Any]) -> dict[str, Any]:
+        told = {
+            "part": part, "number": 3, "excess": 9.0, "sensors": "full", "inexact": 0.0, "robot": "lever",
+            "excitation": "rich", "rate": 500.0, "diagnosis": 1.0, "version": "now",
+        }  # fmt: skip
+        return {**record(*found), **told}
+
+    drag = {"effect": "quadratic_drag", "joint": "swing", "parameters": {"coefficient": 2.0}, "since": None}
+    parameters = {"coefficient": {"value": [2.01], "std": [0.01]}}
+    named = planted("beyond", finding("quadratic_drag", parameters=parameters))
+    missed = planted("beyond", OTHER)
+    later = [{**r, "truth": [drag], "diagnosis": 7.0} for r in (named, missed)]
+    before, after = markdown([planted("single", COULOMB)]), markdown([planted("single", COULOMB), *later])
+
+    assert "| beyond causes with excess above 1.1: exact or tied | 1/2 = 50.0 %" in after
+    assert "| quadratic_drag | 2 | 1 |" in after and "torque_gain 1 |" in after
+    # every line of the other parts stays, but the one that counts the cases
+    assert {line for line in before.splitlines() if "Cases:" not in line} <= set(after.splitlines())
 
 
 # --- running ----------------------------------------------------------------------------------------------

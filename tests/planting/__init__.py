@@ -1,11 +1,11 @@
 """Planted recordings: what a robot with a known defect would have recorded.
 
-The generator shares no code with the package it helps to test: laws.py writes every effect down from its
-definition, chain.py and machine.py have their own dynamics and their own way of stepping through dry
-friction.
+The generator shares no code with the package it helps to test: catalogue.py lists the effects, laws.py writes
+every one down from its definition, chain.py and machine.py have their own dynamics and their own way of
+stepping through dry friction.
 """
 
-from .laws import CATALOGUE, Planted
+from .catalogue import BEYOND, CATALOGUE, Planted
 from .robots import ROBOTS, read_robot
 from .sensing import (
     ENCODERS,
@@ -22,6 +22,7 @@ from .sensing import (
 from .simulate import Recorded, plant
 
 __all__ = [
+    "BEYOND",
     "CATALOGUE",
     "ENCODERS",
     "FROM_CURRENT",

@@ -9,23 +9,22 @@ import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 
-from .laws import CATALOGUE, Planted
-from .robots import ROBOTS, Robot, read_robot
+from .catalogue import CATALOGUE, Planted
+from .robots import ROBOTS
 from .sensing import ENCODERS, FULL, LINK_SIDE, MOTOR_ONLY, NO_COMMAND, Ragged, SensorSet
 from .simulate import Recorded, plant
+from .sizes import MET_EFFECTS, nominal, rounded, usual_effect, usual_excitation
 
 SMALL_ROBOTS = ("lever", "turret", "crane", "gimbal")
 INEXACT = 0.02  # every nominal number off by 1 to 3 %, damping by 3 to 9 %
 WEAK = 0.12  # size of the weak cases
 
-SLOW_EFFECTS = ("stribeck_friction", "torque_offset", "cogging", "transmission_error", "cable_spring")
-STEP_EFFECTS = ("torque_saturation", "end_stop")
+LIMIT_DROP = 0.3  # of the greatest torque, that a torque_speed_limit falls by up to the greatest speed
 
 QUIET_FEEDBACK = replace(FULL, noisy_feedback=False)
 """The controller reads its sensors without noise: the command is smooth between two recorded samples."""
@@ -98,97 +97,9 @@ def write_case(case: Case, folder: Path) -> None:
     table.write_text(json.dumps(dict(sorted(truth.items())), indent=1))
 
 
-@cache
-def _nominal(robot: str) -> Robot:
-    return read_robot(ROBOTS / f"{robot}.yaml")
-
-
 def _rng(*words: object) -> np.random.Generator:
     """A generator of its own for every name, so that adding a case changes no other."""
     return np.random.default_rng(crc32(" ".join(map(str, words)).encode()))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")
-
-
-def usual_excitation(effect: str) -> str:
-    return "steps" if effect in STEP_EFFECTS else "slow" if effect in SLOW_EFFECTS else "rich"
-
-
-def usual_effect(
-    effect: str,
-    robot: str,
-    joint: str,
-    rng: np.random.Generator,
-    size: float = 1.0,
-    since: float | None = None,
-) -> Planted:
-    """An effect of the usual size for a joint, varied by 20 % and times `size`; signs are drawn where both
-    exist.
-
-    torque_saturation and end_stop depend on the trajectory and are sized by `single_case`. Raises ValueError
-    for them and for unknown names.
-    """
-    r = _nominal(robot)
-    j = r.index(joint)
-    limit, stiffness, viscous = r.torque_limit[j], r.stiffness[j], r.motor_damping[j]
-    s = size * rng.uniform(0.8, 1.2)
-    sign = rng.choice([-1.0, 1.0])
-    load = 0.25 * limit  # a usual spring torque
-    reach = r.bodies[j].com
-    phase = rng.uniform(-3, 3)
-    parameters: dict[str, dict[str, float]] = {
-        "torque_gain": {"gain": 0.1 * s * sign},
-        "torque_offset": {"offset": 0.03 * limit * s * sign},
-        "torque_delay": {"delay": 0.0045 * s},
-        "cogging": {"amplitude": 0.018 * limit * s, "cycles": float(rng.integers(10, 24)), "phase": phase},
-        "motor_inertia": {"scale": 0.3 * s},
-        "motor_viscous_friction": {"coefficient": 0.45 * viscous * s},
-        "motor_coulomb_friction": {"level": 0.035 * limit * s},
-        "asymmetric_friction": {"level_positive": 0.05 * limit * s, "level_negative": 0.025 * limit * s},
-        "stribeck_friction": {"level": 0.03 * limit * s, "static_extra": 0.03 * limit * s, "velocity": 0.06},
-        "load_friction": {"coefficient": 0.13 * s},
-        "friction_drift": {"level": 0.06 * limit * s, "time_constant": rng.uniform(5, 9)},
-        "spring_stiffness": {"scale": 0.25 * s * sign},
-        "spring_damping": {"scale": 1.5 * s},
-        "hardening_spring": {"cubic": 0.5 * s * stiffness**3 / load**2},
-        "backlash": {"gap": 0.009 * s},
-        "spring_hysteresis": {"level": 0.025 * limit * s, "scale": 0.0035},
-        "transmission_error": {"amplitude": 0.002 * s, "cycles": float(rng.integers(12, 24)), "phase": phase},
-        "spring_preload": {"torque": 0.03 * limit * s * sign},
-        "base_tilt": {"roll": 0.06 * s * sign, "pitch": 0.05 * s},
-        "link_coulomb_friction": {"level": 0.018 * limit * s},
-        "link_viscous_friction": {"coefficient": 0.25 * viscous * s},
-        "cable_spring": {"stiffness": 0.012 * stiffness * s, "rest": rng.uniform(-0.3, 0.3)},
-        "link_encoder_offset": {"offset": 0.015 * s * sign},
-        "motor_encoder_offset": {"offset": 0.015 * s * sign},
-        "torque_sensor_offset": {"offset": 0.03 * limit * s * sign},
-        "torque_sensor_gain": {"gain": 0.1 * s * sign},
-        "sensor_delay": {"delay": 0.005 * s},
-        "encoder_eccentricity": {"amplitude": 0.008 * s, "phase": phase},
-    }
-    if effect == "payload":
-        place = [_rounded(1.3 * c) for c in reach]
-        return Planted(
-            effect, joint, {"mass": _rounded(0.3 * r.bodies[j].mass * s), "position": place}, since
-        )
-    if effect not in parameters:
-        raise ValueError(
-            f"no usual size for {effect!r}; there is one for {', '.join((*parameters, 'payload'))}"
-        )
-    values: dict[str, object] = {name: _rounded(value) for name, value in parameters[effect].items()}
-    if effect == "encoder_eccentricity":
-        values["channel"] = str(rng.choice(["q", "theta"]))
-    if effect == "sensor_delay" and (
-        channel := rng.choice(["", "q", "theta"])
-    ):  # none: all sensors of the joint
-        values["channel"] = str(channel)
-    if effect == "base_tilt":  # only a tilt about horizontal directions across the joint axes can be seen
-        hidden = {"lever": "roll", "crane": "pitch"}.get(robot.removesuffix("_exact"))
-        values = {name: 0.0 if name == hidden else value for name, value in values.items()}
-        return Planted(effect, None, values, since)
-    return Planted(effect, joint, values, since)
 
 
 def single_case(
@@ -204,33 +115,52 @@ def single_case(
 ) -> Case:
     """A case of one effect; what is not given is drawn from the name and the seed."""
     rng = _rng(name, seed)
-    robot = robot or str(rng.choice(SMALL_ROBOTS))
-    joints = _nominal(robot).joints
+    alone = effect != "joint_coupling"  # which takes two joints
+    robot = robot or str(rng.choice([r for r in SMALL_ROBOTS if alone or len(nominal(r).joints) > 1]))
+    joints = nominal(robot).joints
     joint = str(
         rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints)
     )  # not on a vertical axis
     excitation = excitation or usual_excitation(effect)
     case = Case(name, robot, excitation, (), int(rng.integers(1, 2**30)), sensors, inexact)
-    if effect in STEP_EFFECTS:
-        planted = met_by(case, effect, joint, size, since)
+    if effect in MET_EFFECTS:
+        planted = met_by(case, effect, joint, size, since, rng)
     else:
         planted = usual_effect(effect, robot, joint, rng, size, since)
     return replace(case, effects=(planted,))
 
 
-def met_by(case: Case, effect: str, joint: str, size: float, since: float | None) -> Planted:
-    """A saturation or an end stop that the trajectory reaches; a smaller size is met more rarely."""
-    healthy, j = case.train(), _nominal(case.robot).index(joint)
+def met_by(
+    case: Case,
+    effect: str,
+    joint: str,
+    size: float,
+    since: float | None,
+    rng: np.random.Generator | None = None,
+) -> Planted:
+    """An effect of MET_EFFECTS that the trajectory reaches; a smaller limit or stop is met more rarely.
+
+    `rng` draws where a rough spot lies (default: in the middle of the travel).
+    """
+    healthy, j = case.train(), nominal(case.robot).index(joint)
+    tau, q, theta, speed = (healthy.true[name][:, j] for name in ("tau", "q", "theta", "dtheta"))
     if effect == "torque_saturation":
-        peak = np.abs(healthy.true["tau"][:, j]).max()
-        return Planted(effect, joint, {"limit": _rounded((1 - 0.45 * size) * peak)}, since)
-    q = healthy.true["q"][:, j]
+        return Planted(effect, joint, {"limit": rounded((1 - 0.45 * size) * np.abs(tau).max())}, since)
+    if effect == "torque_speed_limit":
+        drop = rounded(LIMIT_DROP * np.abs(tau).max() / np.abs(speed).max())
+        stall = (1 - 0.45 * size) * np.abs(tau + drop * speed).max()
+        return Planted(effect, joint, {"stall": rounded(stall), "drop": drop}, since)
+    if effect == "rough_spot":
+        at, width, share = (0.5, 0.15, 1.0) if rng is None else rng.uniform((0.3, 0.1, 0.8), (0.7, 0.2, 1.2))
+        level = 0.08 * nominal(case.robot).torque_limit[j] * size * share
+        spot = {"level": level, "position": theta.min() + at * np.ptp(theta), "width": width * np.ptp(theta)}
+        return Planted(effect, joint, {name: rounded(value) for name, value in spot.items()}, since)
     extreme = q[np.argmax(np.abs(q))]
-    stiffness = 4 * _nominal(case.robot).stiffness[j]
+    stiffness = 4 * nominal(case.robot).stiffness[j]
     return Planted(
         effect,
         joint,
-        {"position": _rounded((1 - 0.45 * size) * extreme), "stiffness": _rounded(stiffness)},
+        {"position": rounded((1 - 0.45 * size) * extreme), "stiffness": rounded(stiffness)},
         since,
     )
 
@@ -277,7 +207,7 @@ def double_cases(seed: int) -> list[Case]:
     for robot, pair in DOUBLES:
         name = f"double_{robot}_{pair[0]}"
         rng = _rng(name, seed)
-        joints = rng.permutation(_nominal(robot).joints)
+        joints = rng.permutation(nominal(robot).joints)
         planted = tuple(usual_effect(e, robot, str(joints[i % len(joints)]), rng) for i, e in enumerate(pair))
         cases.append(Case(name, robot, "rich", planted, int(rng.integers(1, 2**30))))
     return cases

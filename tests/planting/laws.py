@@ -1,121 +1,47 @@
-"""The catalogue of effects, and the equations of motion of a machine that has some of them.
+"""The equations of motion of a machine that has some of the effects of catalogue.py.
 
 phi = theta - q, w = dtheta. Everything acts in this order where several effects share a site:
 
-- command: tau_m is delayed, scaled by (1 + gain), shifted by the offset, clipped; cogging is added last (it
-  is a force of the motor, not of its drive). All but cogging act on held numbers and live in simulate.py.
+- command: tau_m is scaled by (1 + gain), shifted by the offset, clipped; then comes the share of a
+  neighbour's command; their sum is delayed and lags. All this acts on held numbers and lives in simulate.py.
+  The outcome is clipped to +-stall - drop w, and cogging is added last (it is a force of the motor, not of
+  its drive).
 - motor: B theta'' = tau - tau_t - (D_m + coefficient) w - s level, where s in {-1, 0, 1} is the state of
   the dry friction (0: stuck, w = 0) and `level` the sum of all dry laws. Dry friction sticks exactly: a
   stuck motor leaves when the net torque exceeds the level at rest, a slipping one is caught at the instant
   w = 0 (Karnopp's model with located events), so no creep and no smoothing width. A stuck link has its
-  acceleration removed from M q'' = tau_link by striking its row and column.
+  acceleration removed from M q'' = tau_link by striking its row and column. Dahl's friction is a torque -z
+  and never sticks; a breakaway level falls with the path since its start, z = 1 there.
 - transmission: e = phi + transmission error, less half the gap on the engaged side (dead zone, located
-  events as well); tau_t = K e + cubic e^3 + D phi' (0 inside the gap) + z + preload, with Dahl's z as a
-  state.
+  events as well); tau_t = K e + cubic e^3 + D phi' (0 inside the gap) + z + preload, with the z of Dahl's
+  hysteresis as a state, or a creeping spring's stiffness z in its place.
 - link: payload joins the body's mass, tilt turns gravity, the others are torques on q.
 - sensor: sensing.py.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
+from .catalogue import BEYOND, CATALOGUE, DRY_MOTOR, Law, Planted, check, law, neighbour
 from .chain import Array, body_load, inverse_dynamics, mass_matrix, point_load
 from .robots import Robot
 
-
-@dataclass(frozen=True)
-class Law:
-    site: str
-    required: tuple[str, ...]
-    defaults: dict[str, float | str | None] = field(default_factory=dict)
-    common: bool = False  # may have joint None: all joints, or the robot as a whole
-
-
-CATALOGUE: dict[str, Law] = {
-    "torque_gain": Law("command", ("gain",)),
-    "torque_offset": Law("command", ("offset",)),
-    "torque_delay": Law("command", ("delay",), common=True),
-    "torque_saturation": Law("command", ("limit",)),
-    "cogging": Law("command", ("amplitude", "cycles"), {"phase": 0.0}),
-    "motor_inertia": Law("motor", ("scale",)),
-    "motor_viscous_friction": Law("motor", ("coefficient",)),
-    "motor_coulomb_friction": Law("motor", ("level",)),
-    "asymmetric_friction": Law("motor", ("level_positive", "level_negative")),
-    "stribeck_friction": Law("motor", ("level", "static_extra", "velocity")),
-    "load_friction": Law("motor", ("coefficient",)),
-    "friction_drift": Law("motor", ("level", "time_constant")),
-    "spring_stiffness": Law("transmission", ("scale",)),
-    "spring_damping": Law("transmission", ("scale",)),
-    "hardening_spring": Law("transmission", ("cubic",)),
-    "backlash": Law("transmission", ("gap",)),
-    "spring_hysteresis": Law("transmission", ("level", "scale")),
-    "transmission_error": Law("transmission", ("amplitude", "cycles"), {"phase": 0.0}),
-    "spring_preload": Law("transmission", ("torque",)),
-    "payload": Law("link", ("mass", "position")),
-    "base_tilt": Law("link", ("roll", "pitch"), common=True),
-    "link_coulomb_friction": Law("link", ("level",)),
-    "link_viscous_friction": Law("link", ("coefficient",)),
-    "cable_spring": Law("link", ("stiffness", "rest")),
-    "end_stop": Law("link", ("position", "stiffness")),
-    "link_encoder_offset": Law("sensor", ("offset",)),
-    "motor_encoder_offset": Law("sensor", ("offset",)),
-    "encoder_eccentricity": Law("sensor", ("amplitude", "channel"), {"phase": 0.0}),
-    "torque_sensor_offset": Law("sensor", ("offset",)),
-    "torque_sensor_gain": Law("sensor", ("gain",)),
-    "sensor_delay": Law("sensor", ("delay",), {"channel": None}, common=True),
-}
-
-DRY_MOTOR = (
-    "motor_coulomb_friction",
-    "asymmetric_friction",
-    "stribeck_friction",
-    "load_friction",
-    "friction_drift",
-)
-"""Effects that make a motor stick."""
-
-
-@dataclass(frozen=True)
-class Planted:
-    """One effect put into the real machine; `since` [s] switches it on during the recording."""
-
-    effect: str
-    joint: str | None
-    parameters: dict[str, object]
-    since: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.effect not in CATALOGUE:
-            raise ValueError(f"unknown effect {self.effect!r}; the catalogue has {', '.join(CATALOGUE)}")
-        law = CATALOGUE[self.effect]
-        given, valid = set(self.parameters), {*law.required, *law.defaults}
-        if not set(law.required) <= given or not given <= valid:
-            raise ValueError(
-                f"{self.effect} takes {sorted(valid)} (needs {law.required}), got {sorted(given)}"
-            )
-        if self.joint is None and not law.common:
-            raise ValueError(f"{self.effect} belongs to a joint; name it")
-
-    def value(self, name: str) -> float:
-        return float({**CATALOGUE[self.effect].defaults, **self.parameters}[name])  # type: ignore[arg-type]
-
-    def word(self, name: str) -> str | None:
-        return {**CATALOGUE[self.effect].defaults, **self.parameters}[name]  # type: ignore[return-value]
-
-
-def check(robot: Robot, effects: list[Planted]) -> None:
-    """Raises ValueError for a joint that the robot lacks or an effect planted twice on a joint."""
-    seen = set()
-    for planted in effects:
-        if planted.joint is not None:
-            robot.index(planted.joint)
-        if (planted.effect, planted.joint) in seen:
-            raise ValueError(f"{planted.effect} is planted twice on {planted.joint}")
-        seen.add((planted.effect, planted.joint))
+__all__ = [
+    "BEYOND",
+    "CATALOGUE",
+    "DRY_MOTOR",
+    "Equations",
+    "Law",
+    "Planted",
+    "Switch",
+    "check",
+    "law",
+    "neighbour",
+]
 
 
 @dataclass(frozen=True)
@@ -129,10 +55,10 @@ class Switch:
 class Equations:
     """The right-hand side, as symbols, for one real robot with its planted effects.
 
-    State x (5 n,): q, dq, theta, dtheta, z. `modes` (number of switches,) and `gates` (number of effects, 1
-    when active) are constant over a step. Attributes after construction: `rate` x', `torque` tau_t (n,),
-    `margin` (switches,) that is negative when a mode no longer holds, `drive` (switches,) whose sign is the
-    next mode.
+    State x (5 n,): q, dq, theta, dtheta, z (of the one law of WITH_STATE on the joint). `modes` (number of
+    switches,) and `gates` (number of effects, 1 when active) are constant over a step. Attributes after
+    construction: `rate` x', `torque` tau_t (n,), `margin` (switches,) that is negative when a mode no longer
+    holds, `drive` (switches,) whose sign is the next mode, `z_start` (n,).
     """
 
     def __init__(self, robot: Robot, effects: list[Planted]) -> None:
@@ -154,6 +80,8 @@ class Equations:
         self.modes = ca.SX.sym("modes", len(self.switches))
         self.gates = ca.SX.sym("gates", len(effects))
         self.q, self.dq, self.theta, self.dtheta, self.z = ca.vertsplit(self.x, n)
+        fresh = {p.joint for p in effects if p.effect == "breakaway_friction"}
+        self.z_start = np.array([float(joint in fresh) for joint in robot.joints])
         self._write()
 
     def _on(self, effect: str, joint: int) -> tuple[Planted, ca.SX] | None:
@@ -172,8 +100,8 @@ class Equations:
         switch = Switch(kind, joint)
         return self.modes[self.switches.index(switch)] if switch in self.switches else None
 
-    def _spring(self, j: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """tau_t, dz/dt and the deflection that the gap sees, of joint j."""
+    def _spring(self, j: int) -> tuple[ca.SX, ca.SX]:
+        """tau_t and the deflection that the gap sees, of joint j."""
         robot = self.robot
         phi, dphi = self.theta[j] - self.q[j], self.dtheta[j] - self.dq[j]
         deflection = phi
@@ -189,13 +117,28 @@ class Equations:
         stiffness = robot.stiffness[j] * (1 + self._size("spring_stiffness", j, "scale"))
         damping = robot.damping[j] * (1 + self._size("spring_damping", j, "scale"))
         torque = stiffness * e + self._size("hardening_spring", j, "cubic") * e**3 + engaged * damping * dphi
-        dz = ca.SX(0)
+        if self._on("spring_hysteresis", j):
+            torque += self.z[j]
+        torque += self._size("spring_creep", j, "stiffness") * self.z[j]
+        return torque + self._size("spring_preload", j, "torque"), deflection
+
+    def _state_rate(self, j: int) -> ca.SX:
+        """dz/dt of joint j."""
+        z, w = self.z[j], self.dtheta[j]
+        dphi = w - self.dq[j]
         if found := self._on("spring_hysteresis", j):
             p, gate = found
-            dz = gate * (
-                p.value("level") / p.value("scale") * dphi - ca.fabs(dphi) * self.z[j] / p.value("scale")
-            )
-        return torque + self.z[j] + self._size("spring_preload", j, "torque"), dz, deflection
+            return gate * (p.value("level") / p.value("scale") * dphi - ca.fabs(dphi) * z / p.value("scale"))
+        if found := self._on("spring_creep", j):
+            p, gate = found
+            return gate * (dphi - z / p.value("time_constant"))
+        if found := self._on("dahl_friction", j):
+            p, gate = found
+            return gate * (w * p.value("level") - ca.fabs(w) * z) / p.value("scale")
+        if found := self._on("breakaway_friction", j):
+            p, gate = found
+            return -gate * ca.fabs(w) / p.value("distance") * z
+        return ca.SX(0)
 
     def _dry_levels(self, j: int, torque: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Dry friction of motor j for forward and for backward motion [N m]."""
@@ -209,9 +152,17 @@ class Equations:
         if found := self._on("friction_drift", j):
             p, gate = found
             common += gate * p.value("level") * ca.exp(-ca.fmax(self.t, 0) / p.value("time_constant"))
+        common += self._size("breakaway_friction", j, "level") * self.z[j]
+        if found := self._on("rough_spot", j):
+            p, gate = found
+            away = (self.theta[j] - p.value("position")) / p.value("width")
+            common += gate * p.value("level") * ca.exp(-(away**2))
         forward = common + self._size("asymmetric_friction", j, "level_positive")
         backward = common + self._size("asymmetric_friction", j, "level_negative")
-        return forward, backward
+        driving = self._size("drive_efficiency", j, "loss_driving")
+        backdriving = self._size("drive_efficiency", j, "loss_backdriving")
+        up, down = ca.fmax(torque, 0), ca.fmax(-torque, 0)  # loads that forward, backward motion drives
+        return forward + driving * up + backdriving * down, backward + driving * down + backdriving * up
 
     def _loads_and_gravity(self) -> tuple[list, ca.SX]:
         loads = [body_load(body) for body in self.robot.bodies]
@@ -237,6 +188,11 @@ class Equations:
             beyond = self.q[j] - p.value("position")
             pressed = ca.fmax(beyond, 0) if p.value("position") >= 0 else ca.fmin(beyond, 0)
             torque -= gate * p.value("stiffness") * pressed
+        torque -= self._size("quadratic_drag", j, "coefficient") * ca.fabs(self.dq[j]) * self.dq[j]
+        if found := self._on("periodic_disturbance", j):
+            p, gate = found
+            angle = 2 * np.pi * p.value("frequency") * self.t + p.value("phase")
+            torque += gate * p.value("amplitude") * ca.sin(angle)
         return torque
 
     def _write(self) -> None:
@@ -245,14 +201,15 @@ class Equations:
         self._net: dict[Switch, ca.SX] = {}  # torque that a stuck motor or link has to withstand
         n = len(self.robot.joints)
         springs = [self._spring(j) for j in range(n)]
-        tau_t, dz = ([spring[i] for spring in springs] for i in (0, 1))
+        tau_t = [spring[0] for spring in springs]
         ddtheta = [self._motor_acceleration(j, tau_t[j]) for j in range(n)]
         ddq = self._link_accelerations(tau_t)
+        dz = [self._state_rate(j) for j in range(n)]
         self.rate = ca.densify(ca.vertcat(self.dq, ddq, self.dtheta, *ddtheta, *dz))
         self.torque = ca.densify(ca.vertcat(*tau_t))
         margins, drives = [], []
         for k, switch in enumerate(self.switches):
-            margin, drive = self._decision(switch, self.modes[k], springs[switch.joint][2])
+            margin, drive = self._decision(switch, self.modes[k], springs[switch.joint][1])
             margins.append(margin)
             drives.append(drive)
         self.margin = ca.densify(ca.vertcat(ca.SX(0, 1), *margins))
@@ -260,12 +217,19 @@ class Equations:
 
     def _motor_acceleration(self, j: int, tau_t: ca.SX) -> ca.SX:
         drive = self.u[j]
+        if found := self._on("torque_speed_limit", j):
+            p, gate = found
+            drop = p.value("drop") * self.dtheta[j]
+            held = ca.fmin(ca.fmax(drive, -p.value("stall") - drop), p.value("stall") - drop)
+            drive += gate * (held - drive)
         if found := self._on("cogging", j):
             p, gate = found
             angle = p.value("cycles") * self.theta[j] + p.value("phase")
             drive += gate * p.value("amplitude") * ca.sin(angle)
         viscous = self.robot.motor_damping[j] + self._size("motor_viscous_friction", j, "coefficient")
         total = drive - tau_t - viscous * self.dtheta[j]
+        if found := self._on("dahl_friction", j):
+            total -= found[1] * self.z[j]
         inertia = self.robot.motor_inertia[j] * (1 + self._size("motor_inertia", j, "scale"))
         if (mode := self._mode("motor", j)) is None:
             return total / inertia

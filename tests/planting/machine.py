@@ -47,7 +47,7 @@ class Machine:
         self.n, self.step, self.substeps = len(robot.joints), step, substeps
         self.switches = equations.switches
         self._point, self._one, self._tick = (_Compiled(f) for f in _functions(equations, step, substeps))
-        self.x = np.zeros(5 * self.n)
+        self.x = np.concatenate([np.zeros(4 * self.n), equations.z_start])
         self.modes = np.zeros(len(self.switches))
         self.unfinished_events = 0
 

@@ -10,8 +10,8 @@ from zlib import crc32
 
 import numpy as np
 
+from .catalogue import Planted
 from .chain import Array
-from .laws import Planted
 from .robots import Robot
 
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")
@@ -127,7 +127,7 @@ class Sensors:
             change = _SENSOR_LAWS.get(planted.effect)
             if change is not None and channel == _channel(planted):
                 j = self.robot.index(planted.joint)
-                on = times >= _since(planted)
+                on = times >= planted.start
                 value[:, j] = np.where(on, change(planted, value[:, j]), value[:, j])
         return value
 
@@ -150,16 +150,12 @@ class Sensors:
         for planted in self.effects:
             if planted.effect == "sensor_delay" and planted.word("channel") in (None, DELAYED_WITH[channel]):
                 joints = slice(None) if planted.joint is None else [self.robot.index(planted.joint)]
-                delays[:, joints] += planted.value("delay") * (times >= _since(planted))[:, None]
+                delays[:, joints] += planted.value("delay") * (times >= planted.start)[:, None]
         return delays
 
 
-def _since(planted: Planted) -> float:
-    return -np.inf if planted.since is None else planted.since
-
-
 def _channel(planted: Planted) -> str | None:
-    if planted.effect == "encoder_eccentricity":
+    if planted.effect in ("encoder_eccentricity", "encoder_ripple"):
         return planted.word("channel")
     return {"link_encoder_offset": "q", "motor_encoder_offset": "theta"}.get(planted.effect, "tau_t")
 
@@ -167,6 +163,9 @@ def _channel(planted: Planted) -> str | None:
 _SENSOR_LAWS = {  # in the order in which they act on one sensor
     "torque_sensor_gain": lambda p, x: (1 + p.value("gain")) * x,
     "encoder_eccentricity": lambda p, x: x + p.value("amplitude") * np.sin(x + p.value("phase")),
+    "encoder_ripple": lambda p, x: (
+        x + p.value("amplitude") * np.sin(p.value("cycles") * x + p.value("phase"))
+    ),
     "link_encoder_offset": lambda p, x: x + p.value("offset"),
     "motor_encoder_offset": lambda p, x: x + p.value("offset"),
     "torque_sensor_offset": lambda p, x: x + p.value("offset"),

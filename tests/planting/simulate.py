@@ -17,9 +17,9 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
+from .catalogue import Planted, check, neighbour
 from .chain import Array, body_load, inverse_dynamics
 from .excitation import Reference, reference
-from .laws import Planted, check
 from .machine import Machine
 from .robots import Robot, deviating, read_robot
 from .sensing import CURRENT, MEASURED, TOLD, Motion, Sensors, SensorSet
@@ -151,7 +151,7 @@ def _closed_loop(
     values = {channel: np.zeros((ticks * substeps + 1, n)) for channel in MEASURED}
     motion = Motion(told.times[0], period / substeps, values)
     reading = Sensors(nominal, effects, sensors, ticks, rng)
-    gate_since = np.array([-np.inf if p.since is None else p.since for p in effects])
+    gate_since = np.array([p.start for p in effects])
     drive = _Drive(nominal, effects, told.tau_ff[0], ticks, substeps)
     tau_m, applied = np.zeros((ticks, n)), np.zeros((ticks * substeps + 1, n))
 
@@ -169,7 +169,8 @@ def _closed_loop(
         torque = drive.apply(k, t, tau_m[k])
         states, tau_t = machine.advance(torque, gates, t)
         _fill(values, slice(at + 1, at + 1 + substeps), states, tau_t, n)
-        applied[at : at + substeps] = torque
+        speeds = values["dtheta"][at : at + substeps + 1]
+        applied[at : at + substeps] = drive.limited(t + offsets, torque, (speeds[:-1] + speeds[1:]) / 2)
     applied[-1] = applied[-2]
     return _Run(told, motion, reading, tau_m, applied)
 
@@ -181,37 +182,73 @@ def _fill(values: dict[str, Array], rows: slice, states: Array, tau_t: Array, n:
 
 
 class _Drive:
-    """From commands to motor torques: gain, offset, saturation, delay of the held command."""
+    """From commands to motor torques: gain, offset, saturation of the held command and a neighbour's share of
+    it, then its delay, then the lag."""
 
     def __init__(
         self, robot: Robot, effects: list[Planted], initial: Array, ticks: int, substeps: int
     ) -> None:
         self.robot, self.initial, self.substeps = robot, initial, substeps
-        self.effects = [p for p in effects if p.effect.startswith("torque_") and "sensor" not in p.effect]
-        self.delays = [p for p in self.effects if p.effect == "torque_delay"]
+        on_held = ("torque_gain", "torque_offset", "torque_saturation", "joint_coupling")
+        self.on_held = [p for name in on_held for p in effects if p.effect == name]
+        self.delays, self.lags, self.limits = (
+            [p for p in effects if p.effect == name]
+            for name in ("torque_delay", "current_lag", "torque_speed_limit")
+        )
         self.held = np.zeros((ticks, len(initial)))
+        self.last: Array | None = None  # torque at the end of the substep before, as far as lags follow it
 
     def apply(self, tick: int, t: float, command: Array) -> Array:
-        """Torques (substeps, n) during the tick: the mean over each substep of the delayed, held torque."""
+        """Torques (substeps, n) during the tick: the mean over each substep of the delayed, held torque, as
+        the lag follows it."""
         held = command.copy()
-        for effect in ("torque_gain", "torque_offset", "torque_saturation"):
-            for p in self.effects:
-                if p.effect == effect and (p.since is None or t >= p.since - 1e-9):
-                    j = self.robot.index(p.joint)
-                    if effect == "torque_gain":
-                        held[j] *= 1 + p.value("gain")
-                    elif effect == "torque_offset":
-                        held[j] += p.value("offset")
-                    else:
-                        held[j] = np.clip(held[j], -p.value("limit"), p.value("limit"))
+        for p in self.on_held:
+            if t >= p.start - 1e-9:
+                j = self.robot.index(p.joint)
+                if p.effect == "torque_gain":
+                    held[j] *= 1 + p.value("gain")
+                elif p.effect == "torque_offset":
+                    held[j] += p.value("offset")
+                elif p.effect == "torque_saturation":
+                    held[j] = np.clip(held[j], -p.value("limit"), p.value("limit"))
+                else:
+                    held[j] += p.value("share") * command[neighbour(self.robot, p)]
         self.held[tick] = held
         torque = np.repeat(held[None], self.substeps, axis=0)
         for p in self.delays:
-            if p.since is None or t >= p.since - 1e-9:
+            if t >= p.start - 1e-9:
                 joints = range(len(held)) if p.joint is None else [self.robot.index(p.joint)]
                 for j in joints:
                     torque[:, j] = self._delayed(tick, p.value("delay") * self.robot.control_rate, j)
+        asked = torque.copy()
+        now = asked[0] if self.last is None else self.last  # settled at the start
+        self.last = asked[-1].copy()
+        for p in self.lags:
+            if t >= p.start - 1e-9:
+                j = self.robot.index(p.joint)
+                torque[:, j], self.last[j] = self._lagging(asked[:, j], now[j], p.value("time_constant"))
         return torque
+
+    def limited(self, times: Array, torque: Array, speed: Array) -> Array:
+        """Torques (m, n) of substeps that begin at `times` (m,), as the limit that falls with the mean speed
+        (m, n) leaves them. The motion itself feels it at every instant, in laws.py."""
+        torque = torque.copy()
+        for p in self.limits:
+            j = self.robot.index(p.joint)
+            stall, drop = p.value("stall"), p.value("drop") * speed[:, j]
+            clipped = np.clip(torque[:, j], -stall - drop, stall - drop)
+            torque[:, j] = np.where(times >= p.start - 1e-9, clipped, torque[:, j])
+        return torque
+
+    def _lagging(self, asked: Array, now: float, time_constant: float) -> tuple[Array, float]:
+        """Means over the substeps of the torque that follows what is asked, and where it ends; exact for a
+        torque that is constant over a substep."""
+        share = 1 / (self.robot.control_rate * self.substeps * time_constant)  # of a time constant
+        mean = np.empty(len(asked))
+        for i, goal in enumerate(asked):
+            mean[i] = goal - (now - goal) * np.expm1(-share) / share
+            now = goal + (now - goal) * np.exp(-share)
+        return mean, now
 
     def _delayed(self, tick: int, delay: float, j: int) -> Array:
         """Mean over each substep of the held torque `delay` ticks earlier."""
@@ -270,8 +307,9 @@ def _by_current(run: _Run, effects: list[Planted], times: Array) -> Array:
     """(m, n) motor torque as the nominal torque constant makes it of the current, its mean over one control
     period about each sample.
 
-    Delay and saturation act on the current, so that it shows them; a wrong torque constant and a stray
-    torque act behind it, and it does not.
+    Delay, lag, saturation, the limit that falls with the speed and what comes from a neighbour's command act
+    on the current, so that it shows them; a wrong torque constant and a stray torque act behind it, and it
+    does not.
     """
     robot, torque = run.sensors.robot, run.applied.copy()
     at = run.motion.start + run.motion.step * np.arange(len(torque))
@@ -282,8 +320,8 @@ def _by_current(run: _Run, effects: list[Planted], times: Array) -> Array:
     for effect, undo in undone.items():
         for p in effects:
             if p.effect == effect:
-                j, on = robot.index(p.joint), at >= (-np.inf if p.since is None else p.since) - 1e-9
-                torque[:, j] = np.where(on, undo(p, torque[:, j]), torque[:, j])
+                j = robot.index(p.joint)
+                torque[:, j] = np.where(at >= p.start - 1e-9, undo(p, torque[:, j]), torque[:, j])
     impulse = np.vstack([np.zeros(torque.shape[1]), np.cumsum(torque[:-1], axis=0)]) * run.motion.step
     half = 0.5 / robot.control_rate
     ends = [np.array([np.interp(times + s * half, at, column) for column in impulse.T]).T for s in (1, -1)]

@@ -6,6 +6,7 @@
 - struck: one cause, with its effect (and those that contain it) taken out of the product's catalogue
 - several: one cause in two recordings of one machine, with other motions and other unknown encoder offsets;
   in every other case the second was made with a known payload
+- beyond: as single, for the effects that came later; none of the other parts has them
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from zlib import crc32
 
 import numpy as np
 from planting import (
+    BEYOND,
     CATALOGUE,
     ENCODERS,
     FROM_CURRENT,
@@ -28,17 +30,21 @@ from planting import (
     SensorSet,
     read_robot,
 )
-from planting.cases import INEXACT, STEP_EFFECTS, Case, met_by, usual_effect, usual_excitation
-from planting.laws import DRY_MOTOR
+from planting.cases import INEXACT, Case, met_by
+from planting.catalogue import DRY_MOTOR
+from planting.sizes import MET_EFFECTS, STEP_EFFECTS, usual_effect, usual_excitation
 
 EFFECTS = tuple(CATALOGUE)
-PER_EFFECT = {"single": 12, "struck": 4}
+EVERY = (*EFFECTS, *BEYOND)
+PLANTED = {"single": EFFECTS, "struck": EFFECTS, "beyond": tuple(BEYOND)}
+PER_EFFECT = {"single": 12, "struck": 4, "beyond": 12}
 COUNTS = {
     "single": 12 * len(EFFECTS),
     "double": 140,
     "healthy": 1000,
     "struck": 4 * len(EFFECTS),
     "several": 40,
+    "beyond": 12 * len(BEYOND),
 }
 SMALLEST = 0.02  # of the usual size: most effects are then below the noise
 
@@ -87,6 +93,8 @@ LINK_EFFECTS = {
     "link_viscous_friction",
     "cable_spring",
     "end_stop",
+    "quadratic_drag",
+    "periodic_disturbance",
 }
 MOTOR_EFFECTS = {
     "torque_gain",
@@ -96,14 +104,19 @@ MOTOR_EFFECTS = {
     "motor_inertia",
     "motor_viscous_friction",
     *DRY_MOTOR,
+    "dahl_friction",
+    "torque_speed_limit",
+    "joint_coupling",
 }
 ENCODER_CONSTANTS = {"link_encoder_offset", "motor_encoder_offset", "spring_preload"}
+BY_CURRENT = {"torque_delay", "torque_saturation", "current_lag", "torque_speed_limit", "joint_coupling"}
+CHANGES_IN_TIME = ("friction_drift", "breakaway_friction")  # by themselves: none sets in late
 SHOWN: dict[str, set[str]] = {
-    "no torque sensor": set(EFFECTS) - TORQUE_SENSOR,
+    "no torque sensor": set(EVERY) - TORQUE_SENSOR,
     "motor side only": MOTOR_EFFECTS | {"payload"},
     "link side only": LINK_EFFECTS,
-    "torque from current": set(EFFECTS) - {"torque_delay", "torque_saturation"},  # the current shows them
-    "unknown offsets": set(EFFECTS) - ENCODER_CONSTANTS,
+    "torque from current": set(EVERY) - BY_CURRENT,  # which the current shows
+    "unknown offsets": set(EVERY) - ENCODER_CONSTANTS,
 }
 """Effects that leave a mark of their own in what a set of sensors records (default: all)."""
 
@@ -138,6 +151,7 @@ def make(part: str, number: int) -> StudyCase:
         "healthy": _healthy,
         "struck": _struck,
         "several": _several,
+        "beyond": _beyond,
     }
     if part not in makers:
         raise ValueError(f"unknown part {part!r}; there are {', '.join(makers)}")
@@ -148,11 +162,11 @@ def make(part: str, number: int) -> StudyCase:
 
 def _single(number: int, rng: np.random.Generator, part: str = "single") -> StudyCase:
     repeats = PER_EFFECT[part]
-    effect, repeat = EFFECTS[number // repeats], number % repeats
-    if part == "single":
+    effect, repeat = PLANTED[part][number // repeats], number % repeats
+    if part != "struck":
         size = float(SMALLEST ** ((repeat + rng.random()) / repeats))  # evenly in the logarithm
-        sensors = _drawn(SENSOR_SHARES, rng, lambda name: effect in SHOWN.get(name, EFFECTS))
-        late = rng.random() < LATE and effect != "friction_drift"  # which is a change in time by itself
+        sensors = _drawn(SENSOR_SHARES, rng, lambda name: effect in SHOWN.get(name, EVERY))
+        late = rng.random() < LATE and effect not in CHANGES_IN_TIME
     else:
         size, sensors, late = float(rng.uniform(*SINGLE_STRUCK_SIZE)), "full", False
     robot = _drawn(ROBOT_SHARES, rng, lambda name: _sits_on(effect, name))
@@ -162,11 +176,15 @@ def _single(number: int, rng: np.random.Generator, part: str = "single") -> Stud
     excitation = usual_excitation(effect) if usual else str(rng.choice(EXCITATIONS))
     case = _case(part, number, robot, excitation, sensors, rng)
     since = round(float(rng.uniform(0.35, 0.65)) * case.seconds, 2) if late else None
-    if effect in STEP_EFFECTS:
-        planted = met_by(case, effect, joint, size, since)
+    if effect in MET_EFFECTS:
+        planted = met_by(case, effect, joint, size, since, rng)
     else:
         planted = usual_effect(effect, robot, joint, rng, size, since)
     return _with(part, number, case, (planted,), sensors, size, rng)
+
+
+def _beyond(number: int, rng: np.random.Generator) -> StudyCase:
+    return _single(number, rng, "beyond")
 
 
 def _struck(number: int, rng: np.random.Generator) -> StudyCase:
@@ -277,7 +295,9 @@ def _with(
 
 
 def _sits_on(effect: str, robot: str) -> bool:
-    """A payload on a vertical axis shows its inertia only, not its mass."""
+    """A payload on a vertical axis shows its inertia only, not its mass; a coupling takes two joints."""
+    if effect == "joint_coupling":
+        return len(read_robot(ROBOTS / f"{robot}.yaml").joints) > 1
     return not (effect == "payload" and robot == "turret")
 
 

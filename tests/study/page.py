@@ -46,24 +46,36 @@ without a right name.
 """
 
 
+BEYOND_WORDS = """
+Part *beyond*: effects that no other part plants, and that no figure of the other sections counts.
+"""
+
+
 def markdown(records: Sequence[Record]) -> str:
     """The page."""
     parts = [HEAD, _made(records), _headline(records)]
-    titles = {"single": "Single causes", "double": "Two causes", "several": "One cause, two recordings"}
+    first = _first(records)
+    words = {"single": OUTCOME_WORDS, "beyond": BEYOND_WORDS}
+    titles = {
+        "single": "Single causes",
+        "double": "Two causes",
+        "several": "One cause, two recordings",
+        "beyond": "Single causes, effects that came later",
+    }
     for part, title in titles.items():
         these = summary.of(records, part)
         if these:
-            parts.append(f"\n## {title}\n{OUTCOME_WORDS if part == 'single' else ''}")
+            parts.append(f"\n## {title}\n{words.get(part, '')}")
             parts.append(_detection(these))
             parts.append(_breakdown(these))
             parts.append(_confusion(these))
     parts += [
         _healthy(records),
         _struck(records),
-        _reliability(records),
-        _parameters(records),
-        _fresh(records),
-        _times(records),
+        _reliability(first),
+        _parameters(first),
+        _fresh(first),
+        _times(first),
     ]
     return "".join(parts)
 
@@ -103,7 +115,7 @@ def _made(records: Sequence[Record]) -> str:
 
 def _headline(records: Sequence[Record]) -> str:
     rows: list[Sequence[object]] = []
-    for part, goal in (("single", "97 %"), ("double", "90 %"), ("several", "97 %")):
+    for part, goal in (("single", "97 %"), ("double", "90 %"), ("several", "97 %"), ("beyond", "97 %")):
         seen = [r for r in summary.of(records, part) if detectable(r)]
         if seen:
             what = f"{part} causes with excess above {DETECTABLE}"
@@ -123,8 +135,14 @@ def _headline(records: Sequence[Record]) -> str:
     errors = summary.relative_errors(_with_causes(records))
     if errors.size:
         rows.append(("error of the main parameter, median", _percent(float(np.median(errors))), "2 %"))
-    rows.append(("seconds a case, median", f"{summary.seconds(records)[1]:.2f}", "5"))
+    if first := _first(records):
+        rows.append(("seconds a case, median", f"{summary.seconds(first)[1]:.2f}", "5"))
     return "\n## In short\n" + table(("what", "measured", "goal"), rows)
+
+
+def _first(records: Sequence[Record]) -> list[Record]:
+    """What the figures over several parts are of."""
+    return [r for r in records if r["part"] != "beyond"]
 
 
 def _with_causes(records: Sequence[Record]) -> list[Record]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from planting.laws import CATALOGUE
+from planting.catalogue import law
 
 Record = dict[str, Any]
 Key = tuple[str, str | None]
@@ -123,7 +123,7 @@ def main_parameter(truth: Record) -> str:
     """The parameter that tells an effect's size."""
     if truth["effect"] == "base_tilt":
         return max(("roll", "pitch"), key=lambda name: abs(truth["parameters"][name]))
-    return CATALOGUE[truth["effect"]].required[0]
+    return law(truth["effect"]).required[0]
 
 
 def main_error(match: Match) -> tuple[float, float, float]:

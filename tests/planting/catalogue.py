@@ -1,0 +1,162 @@
+"""The catalogue of effects, and what is planted of them.
+
+CATALOGUE and BEYOND give an effect's site, its parameters and their defaults; laws.py says what it does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .robots import Robot
+
+
+@dataclass(frozen=True)
+class Law:
+    site: str
+    required: tuple[str, ...]
+    defaults: dict[str, float | str | None] = field(default_factory=dict)
+    common: bool = False  # may have joint None: all joints, or the robot as a whole
+    words: dict[str, tuple[str, ...]] = field(default_factory=dict)  # what a parameter that is a word may be
+
+
+CATALOGUE: dict[str, Law] = {
+    "torque_gain": Law("command", ("gain",)),
+    "torque_offset": Law("command", ("offset",)),
+    "torque_delay": Law("command", ("delay",), common=True),
+    "torque_saturation": Law("command", ("limit",)),
+    "cogging": Law("command", ("amplitude", "cycles"), {"phase": 0.0}),
+    "motor_inertia": Law("motor", ("scale",)),
+    "motor_viscous_friction": Law("motor", ("coefficient",)),
+    "motor_coulomb_friction": Law("motor", ("level",)),
+    "asymmetric_friction": Law("motor", ("level_positive", "level_negative")),
+    "stribeck_friction": Law("motor", ("level", "static_extra", "velocity")),
+    "load_friction": Law("motor", ("coefficient",)),
+    "friction_drift": Law("motor", ("level", "time_constant")),
+    "spring_stiffness": Law("transmission", ("scale",)),
+    "spring_damping": Law("transmission", ("scale",)),
+    "hardening_spring": Law("transmission", ("cubic",)),
+    "backlash": Law("transmission", ("gap",)),
+    "spring_hysteresis": Law("transmission", ("level", "scale")),
+    "transmission_error": Law("transmission", ("amplitude", "cycles"), {"phase": 0.0}),
+    "spring_preload": Law("transmission", ("torque",)),
+    "payload": Law("link", ("mass", "position")),
+    "base_tilt": Law("link", ("roll", "pitch"), common=True),
+    "link_coulomb_friction": Law("link", ("level",)),
+    "link_viscous_friction": Law("link", ("coefficient",)),
+    "cable_spring": Law("link", ("stiffness", "rest")),
+    "end_stop": Law("link", ("position", "stiffness")),
+    "link_encoder_offset": Law("sensor", ("offset",)),
+    "motor_encoder_offset": Law("sensor", ("offset",)),
+    "encoder_eccentricity": Law("sensor", ("amplitude", "channel"), {"phase": 0.0}),
+    "torque_sensor_offset": Law("sensor", ("offset",)),
+    "torque_sensor_gain": Law("sensor", ("gain",)),
+    "sensor_delay": Law("sensor", ("delay",), {"channel": None}, common=True),
+}
+
+BEYOND: dict[str, Law] = {
+    "breakaway_friction": Law("motor", ("level", "distance")),
+    "dahl_friction": Law("motor", ("level", "scale")),
+    "drive_efficiency": Law("motor", ("loss_driving", "loss_backdriving")),
+    "encoder_ripple": Law(
+        "sensor",
+        ("amplitude", "cycles"),
+        {"phase": 0.0, "channel": "q"},
+        words={"channel": ("q", "theta")},
+    ),
+    "quadratic_drag": Law("link", ("coefficient",)),
+    "rough_spot": Law("motor", ("level", "position", "width")),
+    "spring_creep": Law("transmission", ("stiffness", "time_constant")),
+    "torque_speed_limit": Law("command", ("stall", "drop")),
+    "current_lag": Law("command", ("time_constant",)),
+    "joint_coupling": Law("command", ("share",), {"side": "before"}, words={"side": ("before", "after")}),
+    "periodic_disturbance": Law("link", ("amplitude", "frequency"), {"phase": 0.0}),
+}
+"""Effects that came later: apart, since the numbers of the study's cases follow the order of CATALOGUE."""
+
+DRY_MOTOR = (
+    "motor_coulomb_friction",
+    "asymmetric_friction",
+    "stribeck_friction",
+    "load_friction",
+    "friction_drift",
+    "breakaway_friction",
+    "drive_efficiency",
+    "rough_spot",
+)
+"""Effects that make a motor stick."""
+
+WITH_STATE = ("spring_hysteresis", "dahl_friction", "breakaway_friction", "spring_creep")
+"""Effects with a state of their own; a joint has room for one."""
+
+
+def law(effect: str) -> Law:
+    """The law of an effect; raises ValueError when there is none."""
+    found = CATALOGUE.get(effect) or BEYOND.get(effect)
+    if found is None:
+        raise ValueError(f"unknown effect {effect!r}; there are {', '.join((*CATALOGUE, *BEYOND))}")
+    return found
+
+
+@dataclass(frozen=True)
+class Planted:
+    """One effect put into the real machine; `since` [s] switches it on during the recording."""
+
+    effect: str
+    joint: str | None
+    parameters: dict[str, object]
+    since: float | None = None
+
+    def __post_init__(self) -> None:
+        own = law(self.effect)
+        given, valid = set(self.parameters), {*own.required, *own.defaults}
+        if not set(own.required) <= given or not given <= valid:
+            raise ValueError(
+                f"{self.effect} takes {sorted(valid)} (needs {own.required}), got {sorted(given)}"
+            )
+        if self.joint is None and not own.common:
+            raise ValueError(f"{self.effect} belongs to a joint; name it")
+        for name, words in own.words.items():
+            if self.word(name) not in words:
+                raise ValueError(
+                    f"{self.effect}: {name} is one of {', '.join(words)}, got {self.word(name)!r}"
+                )
+
+    @property
+    def start(self) -> float:
+        """`since`, or before all time."""
+        return -np.inf if self.since is None else self.since
+
+    def value(self, name: str) -> float:
+        return float({**law(self.effect).defaults, **self.parameters}[name])  # type: ignore[arg-type]
+
+    def word(self, name: str) -> str | None:
+        return {**law(self.effect).defaults, **self.parameters}[name]  # type: ignore[return-value]
+
+
+def check(robot: Robot, effects: list[Planted]) -> None:
+    """Raises ValueError for a joint that the robot lacks, an effect planted twice on a joint, two of
+    WITH_STATE on one, or a coupling to a joint that is not there."""
+    seen = set()
+    for planted in effects:
+        if planted.joint is not None:
+            robot.index(planted.joint)
+        if (planted.effect, planted.joint) in seen:
+            raise ValueError(f"{planted.effect} is planted twice on {planted.joint}")
+        seen.add((planted.effect, planted.joint))
+        if planted.effect == "joint_coupling":
+            neighbour(robot, planted)
+    for joint in robot.joints:
+        several = [p.effect for p in effects if p.effect in WITH_STATE and p.joint == joint]
+        if len(several) > 1:
+            raise ValueError(f"{joint} has room for one state, not for {' and '.join(several)}")
+
+
+def neighbour(robot: Robot, coupling: Planted) -> int:
+    """Index of the joint whose command a joint_coupling adds; raises ValueError where there is none."""
+    side = coupling.word("side")
+    index = robot.index(coupling.joint) + (-1 if side == "before" else 1)
+    if not 0 <= index < len(robot.joints):
+        raise ValueError(f"joint_coupling: {robot.name} has no joint {side} {coupling.joint}")
+    return index
