@@ -23,7 +23,7 @@ import re
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, ClassVar
 
 from flexjoint.errors import ModelError, unknown
@@ -195,7 +195,7 @@ class Effect:
     # --- derived ---------------------------------------------------------------------------------
     @property
     def name(self) -> str:
-        return _CAMEL.sub("_", type(self).__name__).lower()
+        return _name(type(self))  # type: ignore[arg-type]
 
     def overrides(self, method: str) -> bool:
         """Whether this effect has the named piece of physics."""
@@ -228,6 +228,11 @@ class Effect:
 
 
 @cache
+def _name(kind: Any) -> str:
+    return _CAMEL.sub("_", kind.__name__).lower()
+
+
+@cache
 def _record(kind: Any) -> Any:
     return namedtuple(
         kind.__name__ + "Parameters", [p.name for p in kind.params] + [w.name for w in kind.words]
@@ -252,6 +257,12 @@ class Planned:
     @property
     def key(self) -> tuple[str, str | None]:
         return self.effect.name, self.joint
+
+    @cached_property
+    def identity(self) -> tuple[object, ...]:
+        """What makes two planned effects the same to a law."""
+        values = tuple(tuple(v) if isinstance(v, (list, tuple)) else v for v in self.values.values())
+        return self.effect.name, self.joint, tuple(self.values), values, self.since
 
     @property
     def p(self) -> Any:

@@ -11,17 +11,19 @@ import pytest
 from diagnose_cases import Case, as_recording, nominal
 from planting import Planted
 
-from flexjoint.diagnose import chain, diagnose, scan, whitening
+from flexjoint.diagnose import balances, chain, diagnose, scan, whitening
 from flexjoint.diagnose import workspace as workspaces
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import Candidate, enumerate_candidates, may_replace
 from flexjoint.diagnose.crew import crew
+from flexjoint.diagnose.deviations import judged_energy
 from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.scan import Scanner
 from flexjoint.diagnose.selection import Search
 from flexjoint.diagnose.shared_numbers import SharedNumbers
 from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import at_own_level
 from flexjoint.diagnosis import to_json
 from flexjoint.effect import Site, catalogue, plan
 
@@ -53,6 +55,8 @@ def test_any_number_of_processes_gives_the_same_bits(monkeypatch: pytest.MonkeyP
     # and so does a scan that may remember nothing, and a chain that is made anew each time
     monkeypatch.setattr(scan, "MEMORY", 0.0)
     monkeypatch.setattr(chain, "REMEMBERED", 0.0)
+    monkeypatch.setattr(chain, "CORRECTED", 0.0)
+    monkeypatch.setattr(balances, "REMEMBERED", 0.0)
     assert scanned(2, current) == alone
 
 
@@ -82,6 +86,37 @@ def test_what_is_remembered_changes_no_fit(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(workspaces, "REMEMBERED", 0.0)
     fitted += [fit(fresh, effects) for fresh in (workspace.__wrapped__(), workspace())]
     assert len({(f.energy, *(slot.get(f.effects) for slot in f.slots)) for f in fitted}) == 1
+
+
+def test_a_change_of_the_bodies_torques_is_remembered_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a joint's late encoder does to all joints, beside what differs at another one, and alone."""
+    late = [plan("sensor_delay", "shoulder", {"delay": 2e-3, "channel": "q"})]
+    rubs = [*late, plan("motor_coulomb_friction", "elbow", {"level": 0.3})]
+    torques = [workspace.__wrapped__().balances.change(*pair) for pair in ((late, rubs), ([], late))]
+    monkeypatch.setattr(balances, "REMEMBERED", 0.0)
+    monkeypatch.setattr(chain, "CORRECTED", 0.0)
+    anew = workspace().balances
+    assert np.array_equal(torques[1], anew.change([], late))
+    assert np.array_equal(torques[0], anew.change(late, rubs))
+    elbow = nominal("crane").joint_names.index("elbow")
+    assert {anew.rows[r].joint for r in np.flatnonzero(np.any(torques[0], axis=1))} == {elbow}
+    assert len({anew.rows[r].joint for r in np.flatnonzero(np.any(torques[1], axis=1))}) > 1
+
+
+def test_an_energy_is_evaluated_once_and_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = 0
+
+    def counted(*given: object) -> float:
+        nonlocal asked
+        asked += 1
+        return judged_energy(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(fitting, "judged_energy", counted)
+    fitted = at_own_level(fit(workspace(), THREE))
+    assert asked == 0
+    judged = judged_energy(fitted.workspace, fitted.y, fitted.effects)
+    assert [fitted.energy, fitted.energy] == [judged, judged]  # no weak prior: none of these is a factor
+    assert asked == 1
 
 
 THREE = (

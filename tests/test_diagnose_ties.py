@@ -31,7 +31,8 @@ def rival_of(best: Fit, error: float, share: slice) -> Fit:
     y[0, share] += error
     other = plan("link_coulomb_friction", "turn", {"level": 0.4})
     moved = replace(best, y=y.ravel(), effects=(other,))
-    return replace(moved, energy=best.energy + workspace.energy(moved.y) - workspace.energy(best.y))
+    energy = best.energy + workspace.energy(moved.y) - workspace.energy(best.y)
+    return replace(moved, judge=lambda: energy)
 
 
 def test_a_rival_that_is_worse_at_one_moment_only_is_a_tie(friction: Fit) -> None:

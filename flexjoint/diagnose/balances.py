@@ -14,18 +14,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import fft
 
 from flexjoint.diagnose.chain import Chain, Chains
 from flexjoint.diagnose.motion import Motion, reconstruct
+from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.signals import centred, denoised, prepare
 from flexjoint.effect import Planned, Site
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
 MOTOR, LINK, SPRING = "motor", "link", "spring"
+REMEMBERED = 5e6  # bytes of changes of the rigid-body torques
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class Balances:
         self.chains = Chains(motion)
         self.rows: tuple[Row, ...] = tuple(_rows(motion))
         self._rigid = self.filter.spectrum(motion.rigid.tau)  # evaluated on filtered motion already
+        self._rates = [self.chains.jomega**order for order in range(3)]
+        self._loads: Recent[np.ndarray] = Recent()
 
     def residual(self, effects: Sequence[Planned]) -> np.ndarray:
         """(rows, F) spectra of all balances with these effects at work."""
@@ -63,7 +68,8 @@ class Balances:
         out: dict[int, np.ndarray] = {}
         before, after = self._all(base), self._all(effects)
         load: np.ndarray | float = 0.0
-        if self._touches_body(base, before) or self._touches_body(effects, after):
+        loading, loaded = self._loading(base, before), self._loading(effects, after)
+        if loading != loaded:
             load = self._rigid_change(effects, after) - self._rigid_change(base, before)
         for r, row in enumerate(self.rows):
             j = row.joint
@@ -88,12 +94,11 @@ class Balances:
 
     # ------------------------------------------------------------------ parts
     def _all(self, effects: Sequence[Planned]) -> list[Chain]:
-        return [
-            self.chains.get(
-                i, [e for e in effects if e.joint == joint.name and e.effect.site is not Site.BODY]
-            )
-            for i, joint in enumerate(self.motion.robot.joints)
-        ]
+        own: dict[str | None, list[Planned]] = {joint.name: [] for joint in self.motion.robot.joints}
+        for e in effects:
+            if e.joint in own and e.effect.site is not Site.BODY:
+                own[e.joint].append(e)
+        return [self.chains.get(i, effects_of) for i, effects_of in enumerate(own.values())]
 
     def _row(self, row: Row, chain: Chain, load: np.ndarray | float) -> np.ndarray:
         if row.balance == MOTOR:
@@ -105,12 +110,23 @@ class Balances:
     def _carries_load(self, row: Row) -> bool:
         return row.balance == LINK or (row.balance == MOTOR and self.motion.robot.joints[row.joint].rigid)
 
-    def _touches_body(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> bool:
-        return any(e.effect.site is Site.BODY for e in effects) or any(c.q_change is not None for c in chains)
+    def _loading(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> tuple[object, ...]:
+        """What changes the rigid-body torques: BODY effects, and sensors' that correct a link's angle."""
+        names = self.motion.robot.joint_names
+        corrected = {names[k] for k, chain in enumerate(chains) if chain.q_change is not None}
+        return tuple(
+            e.identity
+            for e in effects
+            if e.effect.site is Site.BODY or (e.effect.site is Site.SENSOR and e.joint in corrected)
+        )
 
     def _rigid_change(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> np.ndarray:
         """(n, F): change of the rigid-body torques by BODY effects and by corrected link angles, to first
-        order in the correction."""
+        order in the correction; remembered by these effects."""
+        make = partial(self._evaluated_rigid_change, effects, chains)
+        return self._loads.get(self._loading(effects, chains), make, REMEMBERED)
+
+    def _evaluated_rigid_change(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> np.ndarray:
         rigid, robot = self.motion.rigid, self.motion.robot
         change = np.zeros_like(rigid.tau)
         for e in effects:
@@ -128,8 +144,8 @@ class Balances:
         for k, chain in enumerate(chains):
             if chain.q_change is None:
                 continue
-            for order, gain in enumerate((rigid.by_q, rigid.by_v, rigid.mass)):
-                shift = self.time_series(self.chains.jomega**order * chain.q_change)
+            shifts = self.time_series(np.array([rate * chain.q_change for rate in self._rates]))
+            for gain, shift in zip((rigid.by_q, rigid.by_v, rigid.mass), shifts, strict=True):
                 change = change + gain[:, :, k].T * shift
         return self.filter.spectrum(change)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import fft
@@ -23,7 +24,8 @@ from flexjoint.effect import Drive, Planned, Signals, Site
 from flexjoint.flow import neighbours
 
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
-REMEMBERED = 2e7  # bytes of chains
+REMEMBERED = 2e7  # bytes of chains ...
+CORRECTED = 1e7  # ... and of readings with what sensors do taken back
 DRIVING = ("q", "dq", "theta", "dtheta", "phi", "dphi")  # signals that states may see
 
 
@@ -54,6 +56,7 @@ class Chains:
         self.calm: Chains | None = None  # of the same motion without its sensors' noise
         self._recent: Recent[Chain] = Recent()
         self._bases: dict[int, JointReadings] = {}
+        self._corrected: Recent[JointReadings] = Recent()
         self.friction = DryFriction(motion.filter, motion.readings.sigma)
 
     def base(self, i: int) -> JointReadings:
@@ -61,9 +64,17 @@ class Chains:
             self._bases[i] = JointReadings(self.motion, i)
         return self._bases[i]
 
+    def readings(self, i: int, sensors: Sequence[Planned]) -> JointReadings:
+        """The readings of joint i with what effects of its sensors do taken back."""
+        if not sensors:
+            return self.base(i)
+        key = (i, *(e.identity for e in sensors))
+        make = partial(JointReadings, self.motion, i)
+        return self._corrected.get(key, lambda: make(self._true_readings(i, sensors)), CORRECTED)
+
     def get(self, i: int, effects: Sequence[Planned]) -> Chain:
         """The chain of joint i with these effects of its own at work."""
-        key = (i, *(identity(e) for e in effects))
+        key = (i, *(e.identity for e in effects))
         return self._recent.get(key, lambda: self._chain(i, effects), REMEMBERED)
 
     def _chain(self, i: int, effects: Sequence[Planned]) -> Chain:
@@ -75,51 +86,43 @@ class Chains:
                 gated.append(e)
             else:
                 drive = e.effect.edit_drive(drive, e.p)
-        sensed = bool(at[Site.SENSOR])
-        q, theta, tau_t = self._true_readings(i, at[Site.SENSOR])
-        q_hat, theta_hat = (
-            (self._filtered(q), self._filtered(theta)) if sensed else (base.q_hat, base.theta_hat)
-        )
+        readings = self.readings(i, at[Site.SENSOR])
+        q, theta, q_hat, theta_hat = readings.q, readings.theta, readings.q_hat, readings.theta_hat
         torque, torque_hat = base.torque, base.torque_hat
         if at[Site.COMMAND]:
             torque = self._command(i, at[Site.COMMAND])
             torque_hat = self._filtered(torque)
 
         # what no effect touches is the same in every chain
-        nominal = drive is joint.drive and not sensed
+        nominal = drive is joint.drive
         signals = Signals(t=self.t, q=q, theta=theta, phi=theta - q, tau_m=torque)
         if effects:
-            signals.dtheta, signals.dq = base.dtheta, base.dq
-            if sensed:
-                signals.dtheta, signals.dq = self._times(s * theta_hat, s * q_hat)
+            signals.dtheta, signals.dq = readings.dtheta, readings.dq
             signals.dphi = signals.dtheta - signals.dq
         spring_hat = np.zeros_like(theta_hat)
         if not joint.rigid:
-            linear = base.spring_hat if nominal else (drive.K + drive.D * s) * (theta_hat - q_hat)
+            linear = readings.spring_hat if nominal else (drive.K + drive.D * s) * (theta_hat - q_hat)
             spring_hat = self._spring(drive, signals, linear, at)
         if effects:
-            signals.tau_t = self._transmitted(i, spring_hat)
-        shaft_hat = base.shaft_hat if nominal else (drive.B * s**2 + drive.D_m * s) * theta_hat
+            signals.tau_t = self._transmitted(i, readings, spring_hat)
+        shaft_hat = readings.shaft_hat if nominal else (drive.B * s**2 + drive.D_m * s) * theta_hat
         motor_hat = torque_hat - shaft_hat
         for e in gated:
             motor_hat, spring_hat = self._gated_drive(e, drive, motor_hat, spring_hat, q_hat, theta_hat)
         motor_hat = motor_hat + self._torques(at[Site.MOTOR], signals)
         link_hat = self._torques(at[Site.LINK], signals)
         own = motor_hat if joint.rigid else spring_hat
-        calm = (
-            self.calm.get(i, [e for e in effects if not e.effect.overrides("level")]) if self.calm else None
-        )
+        calm = None
+        if self.calm is not None and any(e.effect.overrides("level") for e in effects):
+            calm = self.calm.get(i, [e for e in effects if not e.effect.overrides("level")])
         link_hat = link_hat + self._link_friction(i, at[Site.LINK], signals, own + link_hat, calm)
         if base.driven:
             net_hat = motor_hat - self._load(i, spring_hat, link_hat)
             motor_hat = motor_hat + self._motor_friction(i, at[Site.MOTOR], signals, drive, net_hat, calm)
-        reading = base.reading
-        if sensed and np.isfinite(tau_t[0]):
-            reading = self._filtered(tau_t)
-        change = q_hat - base.q_hat if sensed and q is not base.q else None
+        change = q_hat - base.q_hat if q is not base.q else None
         if joint.rigid:
             motor_hat, link_hat = motor_hat + link_hat, 0.0
-        return Chain(motor_hat, spring_hat, link_hat + np.zeros_like(spring_hat), reading, change)
+        return Chain(motor_hat, spring_hat, link_hat + np.zeros_like(spring_hat), readings.reading, change)
 
     def _load(self, i: int, spring_hat: np.ndarray, link_hat: np.ndarray | float) -> np.ndarray:
         """Spectrum of what a motor pulls at. With unknown encoder offsets the spring's torque is known up to
@@ -133,12 +136,11 @@ class Chains:
         and no torque sensor (by which they are centred)."""
         return self.floating and not np.isfinite(self.motion.readings.tau_t[i, 0])
 
-    def _transmitted(self, i: int, spring_hat: np.ndarray) -> np.ndarray:
+    def _transmitted(self, i: int, readings: JointReadings, spring_hat: np.ndarray) -> np.ndarray:
         """(N,) the torque of joint i's transmission; with unknown encoder offsets its load says it."""
         if self.motion.robot.joints[i].rigid or self._floats(i):
             return self.motion.rigid.tau[i]
-        base = self.base(i)
-        return base.spring if spring_hat is base.spring_hat else self._time(spring_hat)
+        return readings.spring if spring_hat is readings.spring_hat else self._time(spring_hat)
 
     # ------------------------------------------------------------------ sites
     def _true_readings(self, i: int, sensors: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -346,12 +348,6 @@ class Chains:
 def _later(x: np.ndarray, samples: float) -> np.ndarray:
     """The signal delayed by a number of samples, by cubic interpolation on the even grid."""
     return np.asarray(map_coordinates(x, [np.arange(x.size) - samples], order=3, mode="nearest"))
-
-
-def identity(e: Planned) -> tuple[object, ...]:
-    """What makes two planned effects the same to a chain."""
-    values = tuple(tuple(v) if isinstance(v, (list, tuple)) else v for v in e.values.values())
-    return e.effect.name, e.joint, tuple(e.values), values, e.since
 
 
 def _by_site(effects: Sequence[Planned]) -> dict[Site, list[Planned]]:

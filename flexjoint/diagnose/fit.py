@@ -3,8 +3,9 @@ nominal model's tolerances marginalised in every step (variable projection)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -50,10 +51,16 @@ class Fit:
 
     workspace: Workspace
     effects: tuple[Planned, ...]
-    energy: float  # judged at the optimum, plus weak priors (judged_energy)
+    judge: Callable[[], float]  # what evaluates `energy`
     y: np.ndarray  # (samples,) whitened residual
     tangents: np.ndarray  # (slots, samples) its derivatives
     slots: tuple[Slot, ...]
+
+    @cached_property
+    def energy(self) -> float:
+        """Judged at the optimum, plus weak priors. Evaluated when it is first asked for: of a fit that is but
+        a step to another level nobody does."""
+        return self.judge()
 
 
 def shifts(result: Fit) -> list[Planned]:
@@ -76,14 +83,24 @@ def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) 
     workspace, slots = workspace.about(effects), slots_of(effects)
     if not slots:
         y = workspace.residual(effects)
-        energy = judged_energy(workspace, y, effects)
-        return Fit(workspace, tuple(effects), energy, y, np.zeros((0, y.size)), slots)
+        judge = partial(_judged, workspace, y, tuple(effects), slots)
+        return Fit(workspace, tuple(effects), judge, y, np.zeros((0, y.size)), slots)
     current, y, jacobian = _descend(workspace, list(effects), slots, iterations)
     if any(entangles(e) for e in effects):  # where a friction rests, how far a spring is turned, by its size
         workspace = workspace.about(current)
         current, y, jacobian = _descend(workspace, current, slots, iterations)
-    energy = judged_energy(workspace, y, current) + _prior(slots, current)
-    return Fit(workspace, tuple(_wrap(current)), energy, y, jacobian, slots)
+    judge = partial(_judged, workspace, y, tuple(current), slots)
+    return Fit(workspace, tuple(_wrap(current)), judge, y, jacobian, slots)
+
+
+def evaluated(result: Fit) -> Fit:
+    """The fit with its energy evaluated: by one process, where several would do so or wait for it."""
+    _ = result.energy
+    return result
+
+
+def _judged(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned], slots: Sequence[Slot]) -> float:
+    return judged_energy(workspace, y, effects) + _prior(slots, effects)
 
 
 def _descend(

@@ -13,20 +13,37 @@ from flexjoint.effect import Signals
 
 
 class JointReadings:
-    """What of a joint's readings does not depend on any effect, computed once."""
+    """What of a joint's readings does not depend on any effect but its sensors', computed once. `true` are
+    q, theta and tau_t with what sensors do taken back, where they do anything."""
 
-    def __init__(self, motion: Motion, i: int) -> None:
+    def __init__(
+        self, motion: Motion, i: int, true: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    ) -> None:
         window, readings = motion.filter, motion.readings
-        self.q, self.theta, self.tau_t = motion.q[i], motion.theta[i], readings.tau_t[i]
+        if true is None:
+            true = motion.q[i], motion.theta[i], readings.tau_t[i]
+        self.q, self.theta, self.tau_t = true
         self._window, self._drive = window, motion.robot.joints[i].drive
         self._readings, self._joint = readings, i
         self.driven = bool(np.isfinite(readings.torque[i, 0]))
         self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
-        self.torque_hat = window.spectrum(self.torque) * window.gain
         self.q_hat = window.spectrum(self.q) * window.gain
         self.theta_hat = window.spectrum(self.theta) * window.gain
-        measured = bool(np.isfinite(self.tau_t[0]))
-        self.reading = window.spectrum(self.tau_t) * window.gain if measured else np.zeros_like(self.q_hat)
+
+    @property
+    def nbytes(self) -> int:
+        return 12 * self.q.nbytes  # about: as many series, or spectra of as many bytes
+
+    @cached_property
+    def torque_hat(self) -> np.ndarray:
+        return self._window.spectrum(self.torque) * self._window.gain
+
+    @cached_property
+    def reading(self) -> np.ndarray:
+        """Spectrum of the transmission's measured torque; 0 where there is none."""
+        if not np.isfinite(self.tau_t[0]):
+            return np.zeros_like(self.q_hat)
+        return self._window.spectrum(self.tau_t) * self._window.gain
 
     @cached_property
     def spring_hat(self) -> np.ndarray:

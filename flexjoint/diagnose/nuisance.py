@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
-from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.whitening import Band, Whitening
 from flexjoint.effect import Drive, Effect, Param, Planned, Site, plan
@@ -202,7 +201,7 @@ class Columns:
         for joint, own in self.entangled(effects).items():
             for k, number in enumerate(self.nuisance):
                 if number.joint == joint and number.name in NUMBERS:
-                    key = (number.name, joint, *(identity(e) for e in own))
+                    key = (number.name, joint, *(e.identity for e in own))
                     make = partial(self._beside, own, joint, number)
                     out[k] = self.whitening.white(self._recent.get(key, make, REMEMBERED)).ravel()
         return out

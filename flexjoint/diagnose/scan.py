@@ -13,7 +13,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnose.candidates import Candidate, Trace, may_replace, traces
-from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.crew import Crew
 from flexjoint.diagnose.fit import Fit
 from flexjoint.diagnose.whitening import Band
@@ -156,7 +155,7 @@ class Scanner:
         # a trace depends on the effects of its own joint only (a body's is fitted to the residual)
         alike: dict[object, list[int]] = {}
         for place, one in enumerate(against):
-            own = tuple(identity(e) for e in one.around(candidate))
+            own = tuple(e.identity for e in one.around(candidate))
             shared = not candidate.effect.overrides("edit_inertial")
             alike.setdefault(own if shared else place, []).append(place)
         for places in alike.values():
@@ -171,7 +170,7 @@ class Scanner:
         if candidate.effect.overrides("edit_inertial"):
             yield from (_kept(t) for t in traces(workspace, candidate, base, current.y))
             return
-        key = (candidate.key, candidate.words, *(identity(e) for e in own))
+        key = (candidate.key, candidate.words, *(e.identity for e in own))
         if key in self._traces:
             yield from ((kept, kept.columns()) for kept in self._traces[key])
             return

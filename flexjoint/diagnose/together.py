@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -75,7 +76,7 @@ def combine(selections: Sequence[Selection]) -> Together:
         tuple(
             replace(
                 fit(workspace, [*kept, *dated, _other(kept, joint)], iterations=0),
-                energy=chosen.energy + joint.energy - best.energy,
+                judge=partial(float, chosen.energy + joint.energy - best.energy),
             )
             for kept, joint in _with_another(best, best_key, effect, joints)
         )

@@ -12,7 +12,7 @@ import numpy as np
 from flexjoint.diagnose.balances import acts_within_a_joint
 from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.crew import Crew
-from flexjoint.diagnose.fit import Fit, fit
+from flexjoint.diagnose.fit import Fit, evaluated, fit
 from flexjoint.diagnose.scan import Scanner, Scored, onset_margin
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import (
@@ -62,7 +62,7 @@ def larger_sets(best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | No
     variance in the balances that are wrong, or no nominal number implausible: such sets are judged at the
     level that they leave, and the scan of the `bare` set is looked at, too."""
     scored = promising(best, scanned[0])
-    judged = crew.map(_judged, [(best, one) for one in scored])
+    judged = crew.map(_judged, [(evaluated(best), one) for one in scored])
     found = [f for f, better in judged if f is not None and better]
     if bare is not None:
         trials = [f for f, _ in judged if f is not None]
@@ -196,7 +196,7 @@ def on_one_level(fits: Sequence[Fit], crew: Crew) -> list[Fit]:
 
 
 def _refitted(task: tuple[Workspace, Sequence[Planned]]) -> Fit:
-    return fit(*task)
+    return evaluated(fit(*task))
 
 
 def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
@@ -226,8 +226,13 @@ def might_matter(current: Fit, scored: Scored) -> bool:
 
 def polish(current: Fit, scanned: Sequence[Scored], needed: float, crew: Crew) -> list[Fit]:
     """The most promising candidates fitted together with the current set, and dated."""
-    fits = crew.map(_added, [(current, scored) for scored in promising(current, scanned, needed)])
+    fits = crew.map(_polished, [(current, scored) for scored in promising(current, scanned, needed)])
     return [f for f in fits if f is not None]
+
+
+def _polished(task: tuple[Fit, Scored]) -> Fit | None:
+    added = added_to(*task)
+    return None if added is None else evaluated(added)
 
 
 def _added(task: tuple[Fit, Scored]) -> Fit | None:

@@ -18,7 +18,6 @@ from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnose import whitening
 from flexjoint.diagnose.balances import TwinBalances
-from flexjoint.diagnose.chain import identity
 from flexjoint.diagnose.nuisance import Columns
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.whitening import Band
@@ -87,7 +86,7 @@ class Workspace:
         """What effects change of the nominal numbers' columns. Not kept with each of many fits, as it
         is large and seldom asked for again: made anew where it is not remembered."""
         effects = self._entangled
-        key = tuple(identity(e) for e in effects)
+        key = tuple(e.identity for e in effects)
         return self._moves.get(key, lambda: self._moves_by(effects), REMEMBERED)
 
     def _grams_of_rows(self) -> np.ndarray:
@@ -228,7 +227,7 @@ class Workspace:
 
     def remembered(self, what: str, effects: Sequence[Planned], make: Callable[[], np.ndarray]) -> np.ndarray:
         """An array that depends on the effects beyond the nominal model's alone. Not to be written on."""
-        return self._recent.get((what, *(identity(e) for e in effects)), make, REMEMBERED)
+        return self._recent.get((what, *(e.identity for e in effects)), make, REMEMBERED)
 
     def moved(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
         """(samples,) residual(other) - residual(extra), at the cost of the joints that differ."""
