@@ -16,7 +16,7 @@ def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.n
     """(N,) an effect's state on signals (N,) sampled every `period` seconds, usable from sample `begin` on.
 
     Rates are affine in the state, so that each step is exact for a drive that changes linearly over it, with
-    the mean decay of both its ends."""
+    the mean decay of both its ends. Until the effect sets in its state rests, but for one that follows."""
     one, held = np.ones_like(signals.t), {}
     for name in ("dq", "dtheta", "dphi"):
         # before it the filter sees the record's edge, and a state would keep what that does
@@ -31,6 +31,9 @@ def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.n
     mean = np.where(x < SMALL, 1.0 - 0.5 * x, (1.0 - keep) / divisor)  # of exp(-x) over the step
     late = np.where(x < SMALL, 0.5 - x / 6.0, (1.0 - mean) / divisor)  # share of the drive at the step's end
     add = period * ((mean - late) * offset + late * np.append(offset[1:], offset[-1:]))
+    if e.since is not None and not e.effect.overrides("settled"):
+        asleep = signals.t < e.since
+        keep, add = np.where(asleep, 1.0, keep), np.where(asleep, 0.0, add)
     z, out = float(e.effect.settled(first, p)), []
     for k, a in zip(keep.tolist(), add.tolist(), strict=True):
         out.append(z)

@@ -1,0 +1,54 @@
+"""Internal states along a recording, against a solver with a tight tolerance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from flexjoint.diagnose.states import state_along
+from flexjoint.effect import Signals, catalogue, plan
+from flexjoint.ops import Value
+
+PERIOD = 1e-3
+STATEFUL = [name for name, effect in catalogue().items() if effect.states]
+
+
+def motion(t: Value) -> Signals:
+    """A joint that turns and twists, smoothly; where it stands still, it does so for a moment only."""
+    dtheta, dphi = 0.8 * np.cos(3.0 * t) - 0.5 * np.sin(5.0 * t), 0.03 * np.cos(4.0 * t)
+    return Signals(
+        t=t,
+        dq=dtheta - dphi,
+        dtheta=dtheta,
+        phi=0.0075 * np.sin(4.0 * t),
+        dphi=dphi,
+        tau_m=9.0 * np.cos(6.0 * t),
+    )
+
+
+@pytest.mark.parametrize("since", [None, 0.5], ids=["always", "late"])
+@pytest.mark.parametrize("name", STATEFUL)
+def test_a_state_is_that_of_a_solver(name: str, since: float | None) -> None:
+    """At rest until the effect sets in, but for one that follows its signals."""
+    wide = {"scale": 0.03} if "scale" in {p.name for p in catalogue()[name].params} else {}
+    item = replace(plan(name, "joint", wide), since=since)
+    effect, p, t = item.effect, item.p, np.arange(0.0, 1.5, PERIOD)
+    begin = 0.0 if since is None or effect.overrides("settled") else since
+    start = float(effect.settled(motion(0.0), p))
+    later = t[t >= begin]
+    exact = solve_ivp(
+        lambda at, z: np.ravel(effect.rate(motion(at), p, z)),
+        (begin, t[-1]),
+        [start],
+        t_eval=later,
+        rtol=1e-10,
+        atol=1e-13,
+        max_step=1e-3,
+    ).y[0]
+    z = state_along(item, motion(t), PERIOD, 0)
+    np.testing.assert_array_equal(z[t < begin], start)
+    # order 2 in the period: (0.001 / 0.005 of the fastest of these, squared, times a twelfth)
+    np.testing.assert_allclose(z[t >= begin], exact, atol=2e-3 * np.ptp(exact))
