@@ -39,6 +39,9 @@ CERTAIN = 100.0  # ... and energy that one below the tolerance must earn: ten de
 CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fits something small by chance
 CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
 CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
+LUCKY = (
+    3.0  # sizes of the noise that it moves, which a shift in time must earn: chance is 2 at most, and chooses
+)
 AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
 BOUNDLESS = 30.0  # times a joint's RMS torque, or what a law shows, beyond which its own torque is none of it
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
@@ -204,7 +207,8 @@ def explained(trial: Fit, without: Fit, added: Planned) -> float:
 def told_by_motion(trial: Fit, earned: float, added: Planned) -> bool:
     """Whether the energy that `added` earns comes from the motion: at the sensors' noise, a law of little
     energy (a gap as wide as that noise) may earn as much from the noise that it shrinks, which it no longer
-    does along the denoised recording."""
+    does along the denoised recording. One that shifts readings in time moves their noise n against the other
+    sensors' noise m: that changes the energy by chance, by 2 m dn."""
     workspace = trial.workspace
     if earned >= CERTAIN_LOUD or np.max(workspace.temper) >= COMPLETE:
         return True
@@ -212,6 +216,8 @@ def told_by_motion(trial: Fit, earned: float, added: Planned) -> bool:
     before = workspace.residual(others)
     moved = workspace.whitening.white(workspace.calmly_moved_band(others, trial.effects)).ravel()
     calm, loud = (workspace.energy(before) - workspace.energy(y) for y in (before + moved, trial.y))
+    if added.effect.overrides("delay") and earned < LUCKY * np.sqrt(np.sum((before + moved - trial.y) ** 2)):
+        return False
     return calm >= CALM_SHARE * loud
 
 

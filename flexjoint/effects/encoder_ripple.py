@@ -4,7 +4,7 @@ from typing import Any
 
 from flexjoint import ops
 from flexjoint.effect import Effect, Kind, Param, Signals, Site, Word
-from flexjoint.effects._starts import PHASES, grid, ripple_cycles
+from flexjoint.effects._starts import PHASES, few_periods, grid, ripple_cycles
 from flexjoint.ops import Value
 
 
@@ -31,6 +31,7 @@ class EncoderRipple(Effect):
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
         motion = s.dtheta, s.dphi
         cycles = (
+            *few_periods(s.q),
             *ripple_cycles(s.q, s.phi, (s.tau_t, *motion), s.t),
             *ripple_cycles(s.theta, s.phi, (s.tau_t, *motion), s.t),
         )
