@@ -34,6 +34,13 @@ NAMED = (
     ("several", 6),
     ("several", 17),  # a delay of all sensors of one joint, which is one of its torque in any recording
     ("several", 15),  # a friction at rest whose springs are known up to unknown offsets
+    ("beyond", 12),  # Dahl's friction from some time on, whose state begins then
+    ("beyond", 36),  # a torque sensor's noise, moved in time by chance to where it costs least
+    ("beyond", 40),  # a ripple of which the motion makes hardly more than one period
+    ("beyond", 44),  # a ripple that a slow motion makes slow
+    ("beyond", 100),
+    ("beyond", 112),
+    ("beyond", 128),
 )
 HEALTHY = (0, 1, 2, 3, 748)  # of the last one the first second would tell of a delay that sets in
 STRUCK = (74,)

@@ -224,8 +224,9 @@ def _notes(best: _Joint) -> tuple[str, ...]:
         apart = [
             abs(x - best.numbers[k]) * np.sqrt(n[k, k]) for x, (_, n) in zip(own, _each(best), strict=True)
         ]
-        if max(apart) > DISAGREE and not slot.param.wraps:
-            each = ", ".join(f"{x:.3g}" for x in own)
+        shown = [f"{x:.3g}" for x in own]
+        if max(apart) > DISAGREE and not slot.param.wraps and len(set(shown)) > 1:
+            each = ", ".join(shown)
             name = f"{slot.param.name} of {best.effects[slot.effect]}"
             notes.append(f"the recordings disagree on {name}: {each} {slot.param.unit}".rstrip())
     return tuple(notes)
