@@ -8,6 +8,10 @@ DEGREE = 3
 REACH = 3.0  # half width of the window in kernel widths
 SAMPLES = 9  # at least this many samples take part, however sparse
 RIDGE = 1e-12  # share of the trace that keeps the equations of too few samples solvable
+SUREST = (
+    1e4  # weight of a rate against that of a value over a kernel's width: a hundred times as sure; beyond
+)
+# it (rates without noise, or smoothed ones) the values would drown in rounding
 FAR = 30.0  # [kernel widths] weights beyond it are 0 for any use, and would underflow
 
 
@@ -34,7 +38,8 @@ def local_polynomial(
     matrix, right = _moments(time, values, at, reach, 0)
     if rates is not None and rate_time is not None and len(rates) >= 2:
         more, on_right = _moments(rate_time, rates, at, reach, 1)
-        scale = rate_weight / reach**2  # a derivative by x = (t - at)/reach is reach times a rate
+        # a derivative by x = (t - at)/reach is reach times a rate
+        scale = np.minimum(rate_weight / reach**2, SUREST)
         matrix = matrix + scale[:, None, None] * more
         right = right + (scale * reach)[:, None] * on_right
     ridge = RIDGE * np.trace(matrix, axis1=1, axis2=2)[:, None, None] * np.eye(DEGREE + 1)

@@ -340,3 +340,10 @@ def test_a_comparison_repeats_bit_for_bit() -> None:
     assert all(
         np.array_equal(values, simulated[key], equal_nan=True) for key, values in one.simulated.items()
     )
+
+
+def test_rates_without_noise_do_not_drown_noisy_positions() -> None:
+    """A window starts where the joint is, however sure its speed seems (smoothed, or made without noise)."""
+    model, few = FlexibleJointModel(make(PLANAR), []), {"q": 2e-5, "theta": 2e-5}
+    measured = simulate(model, reference(JOINTS, 2.0), sample_rate=500.0, noise=few, seed=1).measured
+    assert compare(measured, model, 0.25).nrmse["q.hip"] < 0.01
