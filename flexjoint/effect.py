@@ -136,6 +136,7 @@ class Effect:
     max_delay: ClassVar[float] = 0.0
     contains: ClassVar[tuple[str, ...]] = ()  # simpler effects that are special cases of this one
     alike: ClassVar[tuple[str, ...]] = ()  # numbers that, being equal, leave the effect that it contains
+    known_as: ClassVar[tuple[str, ...]] = ()  # effects as which it is named where they fit as well
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness
 
     # --- what an effect can do -------------------------------------------------------------------

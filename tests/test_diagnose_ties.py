@@ -61,3 +61,14 @@ def test_on_one_joint_a_late_torque_is_late_readings() -> None:
     names = {finding.effect, *(tie.effect for tie in finding.indistinguishable)}
 
     assert {"torque_delay", "sensor_delay"} <= names, summary(result)
+
+
+@pytest.mark.parametrize(("seconds", "named"), [(0.0005, "torque_delay"), (0.02, "current_lag")])
+def test_a_lag_is_named_a_delay_where_both_fit(seconds: float, named: str) -> None:
+    """A lag differs from a dead time to second order in it."""
+    case = Case("crane", "rich", 5)
+    result = found_in(case, Planted("current_lag", "elbow", {"time_constant": seconds}))
+    (finding,) = result.findings
+    listed = "current_lag" in {tie.effect for tie in finding.indistinguishable}
+
+    assert (finding.effect, listed) == (named, named == "torque_delay"), summary(result)

@@ -58,7 +58,23 @@ def sure(selection: Selection) -> tuple[Selection, tuple[str, ...]]:
             f" {certain[worst]:.1f} standard errors only: not named"
         )
         selection = without(selection, best.effects[worst])
-    return selection, tuple(notes)
+    return _by_known_names(selection), tuple(notes)
+
+
+def _by_known_names(selection: Selection) -> Selection:
+    """The selection with effects named as those that they are known as, where these fit as well."""
+    best = selection.best
+    for k, planned in enumerate(best.effects):
+        for rival in selection.rivals[k] if planned.effect.known_as else ():
+            other = rival.effects[-1]
+            known = other.joint == planned.joint and other.effect.name in planned.effect.known_as
+            alone = len(rival.effects) == len(best.effects)
+            if known and alone and ties(best, planned, [rival], selection.explains.get(planned.key)):
+                named = given_way(selection, k, rival, at_own_level(rival))
+                own = fit(named.best.workspace, [*named.best.effects[:-1], planned])
+                last = tuple(sorted((*named.rivals[-1], own), key=score))
+                return replace(named, rivals=(*named.rivals[:-1], last))
+    return selection
 
 
 def plainer(selection: Selection, shrunk: Planned) -> Selection:

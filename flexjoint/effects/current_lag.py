@@ -27,6 +27,7 @@ class CurrentLag(Effect):
     law = r"\tau = z,\ \dot z = (\tau_m - z)/T"
     params = (Param("time_constant", "s", "T", 2e-3, 0.0, 0.5),)
     states = (0.0,)
+    known_as = ("torque_delay",)
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:
         return z - s.tau_m
