@@ -14,7 +14,7 @@ import numpy as np
 from flexjoint.diagnose.fit import Fit, fit, shifts
 from flexjoint.diagnose.nuisance import NUMBERS
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.effect import Param, Planned
+from flexjoint.effect import Kind, Param, Planned
 
 # energy that an effect of one number must earn on one joint, 4 deviations: some hundred candidates are tried,
 # and in a hundred healthy recordings chance may favour one of them
@@ -39,9 +39,7 @@ CERTAIN = 100.0  # ... and energy that one below the tolerance must earn: ten de
 CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fits something small by chance
 CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
 CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
-LUCKY = (
-    3.0  # sizes of the noise that it moves, which a shift in time must earn: chance is 2 at most, and chooses
-)
+LUCKY = 4.0  # sizes of the noise that it moves, which a shift or a lag must earn: chance gives 2, and chooses
 AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
 BOUNDLESS = 30.0  # times a joint's RMS torque, or what a law shows, beyond which its own torque is none of it
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
@@ -207,8 +205,8 @@ def explained(trial: Fit, without: Fit, added: Planned) -> float:
 def told_by_motion(trial: Fit, earned: float, added: Planned) -> bool:
     """Whether the energy that `added` earns comes from the motion: at the sensors' noise, a law of little
     energy (a gap as wide as that noise) may earn as much from the noise that it shrinks, which it no longer
-    does along the denoised recording. One that shifts readings in time moves their noise n against the other
-    sensors' noise m: that changes the energy by chance, by 2 m dn."""
+    does along the denoised recording. One that shifts signals in time moves their noise n against the other
+    sensors' noise m: that changes the energy by chance, by 2 m dn. So does a lag, which makes it smaller."""
     workspace = trial.workspace
     if earned >= CERTAIN_LOUD or np.max(workspace.temper) >= COMPLETE:
         return True
@@ -216,9 +214,18 @@ def told_by_motion(trial: Fit, earned: float, added: Planned) -> bool:
     before = workspace.residual(others)
     moved = workspace.whitening.white(workspace.calmly_moved_band(others, trial.effects)).ravel()
     calm, loud = (workspace.energy(before) - workspace.energy(y) for y in (before + moved, trial.y))
-    if added.effect.overrides("delay") and earned < LUCKY * np.sqrt(np.sum((before + moved - trial.y) ** 2)):
+    if added.effect.kind is Kind.TIMING and earned < LUCKY * _moved_noise(workspace, others, trial.effects):
         return False
     return calm >= CALM_SHARE * loud
+
+
+def _moved_noise(workspace: Workspace, effects: Sequence[Planned], others: Sequence[Planned]) -> float:
+    """Root of the energy that the sensors' noise gets where it is moved by other effects."""
+    before, after = workspace.with_nominal(effects), workspace.with_nominal(others)
+    loud, quiet = (b.changed(before, after) for b in (workspace.balances, workspace.balances.quiet))
+    noise = {row: spectrum - quiet[row] for row, spectrum in loud.items() if row in quiet}
+    white = workspace.whitening.white(workspace.whitening.band(noise)).ravel()
+    return float(np.sqrt(np.sum(white**2)))
 
 
 def material(trial: Fit, added: Planned, earned: float) -> bool:
