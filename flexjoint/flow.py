@@ -78,21 +78,19 @@ class JointFlow:
 
     def held_command(self, s: Signals, tau: Value) -> Value:
         """The same for a command that has been held for long."""
-        return self._through(self._command, s, tau, lambda part: part.effect.settled(s, part.p))
+        return self._held(self._command, s, tau)
 
     def settled(self, s: Signals, tau: Value) -> list[tuple[int, Value]]:
         """Place and value of each internal state that follows a command, once that has been held for long."""
         found = []
         for k, part in enumerate(self._command):
             if part.slot >= 0:
-                reaching = replace(
-                    s,
-                    tau_m=self._through(
-                        self._command[:k], s, tau, lambda part: part.effect.settled(s, part.p)
-                    ),
-                )
+                reaching = replace(s, tau_m=self._held(self._command[:k], s, tau))
                 found.append((part.slot, part.effect.settled(reaching, part.p)))
         return found
+
+    def _held(self, parts: Sequence[Part], s: Signals, tau: Value) -> Value:
+        return self._through(parts, s, tau, lambda part: part.effect.settled(s, part.p))
 
     def _through(
         self, parts: Sequence[Part], s: Signals, tau: Value, state: Callable[[Part], Value]
@@ -243,7 +241,7 @@ class JointFlow:
 
 def neighbours(values: Any, i: int) -> tuple[Value, Value]:
     """What the joints before and after joint i have of values of all joints; 0 where there is none."""
-    count = values.shape[0] if hasattr(values, "shape") else len(values)
+    count = values.shape[0] if hasattr(values, "shape") else len(values)  # of CasADi, len counts no rows
     return values[i - 1] if i > 0 else 0.0, values[i + 1] if i + 1 < count else 0.0
 
 

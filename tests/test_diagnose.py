@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import pytest
-from diagnose_cases import Case, found_in, summary
+from diagnose_cases import Case, as_recording, found_in, nominal, summary
 from planting import BEYOND, CATALOGUE, Planted
 
+from flexjoint.diagnose import diagnose
 from flexjoint.diagnosis import Diagnosis, to_json
 from flexjoint.effect import catalogue
 
@@ -273,3 +274,14 @@ def test_the_same_recording_gives_the_same_diagnosis() -> None:
     first, second = (to_json(found_in(case.case, case.cause)) for _ in range(2))
 
     assert json.dumps(first) == json.dumps(second)
+
+
+def test_a_joint_without_a_command_tells_nothing_of_its_neighbours_coupling() -> None:
+    rubs = Planted("motor_coulomb_friction", "elbow", {"level": 1.0})
+    whole = as_recording(Case("crane", "rich", 3).with_causes(rubs))
+    lacking = {("tau_m", "shoulder"), ("tau_ff", "shoulder")}
+    recording = replace(whole, columns={k: v for k, v in whole.columns.items() if k not in lacking})
+    result = diagnose(nominal("crane"), [recording], refine=False)
+
+    assert [f.effect for f in result.findings] == ["motor_coulomb_friction"]
+    assert ("joint_coupling", "elbow") in result.not_excited

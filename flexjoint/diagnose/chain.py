@@ -167,7 +167,9 @@ class Chains:
         base = self.base(i)
         torque = base.torque
         signals = Signals(t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta)
-        signals.tau_m_before, signals.tau_m_after = neighbours(self.motion.readings.torque, i)
+        # 0 where a neighbour's is not recorded: then nothing shows what it does here
+        told = [self.base(k).torque for k in range(len(self.motion.robot.joints))]
+        signals.tau_m_before, signals.tau_m_after = neighbours(told, i)
         for e in effects:
             p, before, signals.tau_m = e.p, torque, torque
             if e.effect.overrides("delay"):
