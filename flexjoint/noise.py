@@ -21,7 +21,7 @@ def white_noise(samples: np.ndarray) -> float:
     # the variance of the fourth difference of white noise is 1 + 16 + 36 + 16 + 1 = 70 times its own
     spread = float(np.sqrt(np.mean(fourth**2) / 70.0))
     robust = float(np.median(np.abs(fourth)) / 0.6745 / np.sqrt(70.0))
-    quantum = _quantum(x)
+    quantum = step_of(x)
     # the median of a coarsely quantised signal is itself a multiple of the step: then the mean square is
     # better, unless jerks blow it up
     coarse = robust < COARSE * quantum and spread < JERKY * robust
@@ -29,7 +29,7 @@ def white_noise(samples: np.ndarray) -> float:
     return max(white, quantum / np.sqrt(12.0))
 
 
-def _quantum(x: np.ndarray) -> float:
+def step_of(x: np.ndarray) -> float:
     """The step of a quantised signal, or 0."""
     steps = np.abs(np.diff(x))
     steps = steps[steps > 1e-12 * np.max(np.abs(x), initial=1e-300)]

@@ -22,6 +22,7 @@ from scipy import fft
 from flexjoint.diagnose.chain import Chain, Chains
 from flexjoint.diagnose.motion import Motion, reconstruct
 from flexjoint.diagnose.recent import Recent
+from flexjoint.diagnose.rounding import Colour, colours_of
 from flexjoint.diagnose.signals import centred, denoised, prepare
 from flexjoint.effect import Planned, Site
 from flexjoint.recording import Recording
@@ -49,6 +50,7 @@ class Balances:
         self._rigid = self.filter.spectrum(motion.rigid.tau)  # evaluated on filtered motion already
         self._rates = [self.chains.jomega**order for order in range(3)]
         self._loads: Recent[np.ndarray] = Recent()
+        self.colours: dict[int, Colour] = {}  # of noise, which only a twin without it tells
 
     def residual(self, effects: Sequence[Planned]) -> np.ndarray:
         """(rows, F) spectra of all balances with these effects at work."""
@@ -95,10 +97,11 @@ class Balances:
     # ------------------------------------------------------------------ parts
     def _all(self, effects: Sequence[Planned]) -> list[Chain]:
         own: dict[str | None, list[Planned]] = {joint.name: [] for joint in self.motion.robot.joints}
+        bodies = [e for e in effects if e.effect.site is Site.BODY]
         for e in effects:
             if e.joint in own and e.effect.site is not Site.BODY:
                 own[e.joint].append(e)
-        return [self.chains.get(i, effects_of) for i, effects_of in enumerate(own.values())]
+        return [self.chains.get(i, [*effects_of, *bodies]) for i, effects_of in enumerate(own.values())]
 
     def _row(self, row: Row, chain: Chain, load: np.ndarray | float) -> np.ndarray:
         if row.balance == MOTOR:
@@ -127,20 +130,8 @@ class Balances:
         return self._loads.get(self._loading(effects, chains), make, REMEMBERED)
 
     def _evaluated_rigid_change(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> np.ndarray:
-        rigid, robot = self.motion.rigid, self.motion.robot
-        change = np.zeros_like(rigid.tau)
-        for e in effects:
-            if e.effect.site is not Site.BODY:
-                continue
-            p, torque = e.p, np.zeros_like(rigid.tau)
-            if e.effect.overrides("edit_inertial") and e.joint is not None:
-                i = robot.joint_names.index(e.joint)
-                added = np.array(e.effect.edit_inertial(list(rigid.inertial[i]), p)) - rigid.inertial[i]
-                torque = torque + self.inertial_torque(i, added)
-            if e.effect.overrides("edit_gravity"):
-                turned = np.array(e.effect.edit_gravity(list(rigid.gravity), p)) - rigid.gravity
-                torque = torque + np.einsum("a,ajt->jt", turned, rigid.by_gravity)
-            change = change + (torque if e.since is None else torque * (self.chains.t >= e.since))
+        rigid = self.motion.rigid
+        change = self.chains.loads.added([e for e in effects if e.effect.site is Site.BODY])
         for k, chain in enumerate(chains):
             if chain.q_change is None:
                 continue
@@ -162,6 +153,7 @@ class TwinBalances(Balances):
         super().__init__(motion)
         self.quiet = Balances(quiet)
         self.chains.calm = self.quiet.chains
+        self.colours = colours_of(motion.readings, quiet.readings)
 
 
 def balances_of(robot: Robot, recording: Recording) -> TwinBalances:

@@ -6,7 +6,7 @@ evaluated on unfiltered positions, then filtered (a filter does not commute with
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,6 +16,7 @@ from scipy.ndimage import map_coordinates
 
 from flexjoint.diagnose.dry_friction import REST_SPEED, DryFriction
 from flexjoint.diagnose.joint_readings import JointReadings
+from flexjoint.diagnose.loads import Loads
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.signals import reach_of_ends
@@ -57,6 +58,7 @@ class Chains:
         self._recent: Recent[Chain] = Recent()
         self._bases: dict[int, JointReadings] = {}
         self._corrected: Recent[JointReadings] = Recent()
+        self.loads = Loads(motion)
         self.friction = DryFriction(motion.filter, motion.readings.sigma)
 
     def base(self, i: int) -> JointReadings:
@@ -73,9 +75,19 @@ class Chains:
         return self._corrected.get(key, lambda: make(self._true_readings(i, sensors)), CORRECTED)
 
     def get(self, i: int, effects: Sequence[Planned]) -> Chain:
-        """The chain of joint i with these effects of its own at work."""
+        """The chain of joint i with these effects at work, its own and those of bodies."""
+        if not self.rests_on_load(i, effects):
+            effects = [e for e in effects if e.effect.site is not Site.BODY]
         key = (i, *(e.identity for e in effects))
         return self._recent.get(key, lambda: self._chain(i, effects), REMEMBERED)
+
+    def rests_on_load(self, i: int, effects: Sequence[Planned]) -> bool:
+        """Whether an effect of joint i holds what its link carries: a dry friction of the link, or of a motor
+        whose spring does not tell its load."""
+        sites = {e.effect.site for e in effects if e.effect.overrides("level")}
+        return Site.LINK in sites or (
+            Site.MOTOR in sites and (self.motion.robot.joints[i].rigid or self._floats(i))
+        )
 
     def _chain(self, i: int, effects: Sequence[Planned]) -> Chain:
         joint, base, s = self.motion.robot.joints[i], self.base(i), self.jomega
@@ -111,24 +123,26 @@ class Chains:
             motor_hat, spring_hat = self._gated_drive(e, drive, motor_hat, spring_hat, q_hat, theta_hat)
         motor_hat = motor_hat + self._torques(at[Site.MOTOR], signals)
         link_hat = self._torques(at[Site.LINK], signals)
-        own = motor_hat if joint.rigid else spring_hat
+        own = self._pulling(i, at, motor_hat, spring_hat, readings.reading)
         calm = None
         if self.calm is not None and any(e.effect.overrides("level") for e in effects):
             calm = self.calm.get(i, [e for e in effects if not e.effect.overrides("level")])
-        link_hat = link_hat + self._link_friction(i, at[Site.LINK], signals, own + link_hat, calm)
+        link_hat = link_hat + self._link_friction(i, at, signals, own + link_hat, calm)
         if base.driven:
-            net_hat = motor_hat - self._load(i, spring_hat, link_hat)
-            motor_hat = motor_hat + self._motor_friction(i, at[Site.MOTOR], signals, drive, net_hat, calm)
+            net_hat = motor_hat - self._load(i, spring_hat, link_hat, at[Site.BODY])
+            motor_hat = motor_hat + self._motor_friction(i, at, signals, drive, net_hat, calm)
         change = q_hat - base.q_hat if q is not base.q else None
         if joint.rigid:
             motor_hat, link_hat = motor_hat + link_hat, 0.0
         return Chain(motor_hat, spring_hat, link_hat + np.zeros_like(spring_hat), readings.reading, change)
 
-    def _load(self, i: int, spring_hat: np.ndarray, link_hat: np.ndarray | float) -> np.ndarray:
+    def _load(
+        self, i: int, spring_hat: np.ndarray, link_hat: np.ndarray | float, bodies: Sequence[Planned]
+    ) -> np.ndarray:
         """Spectrum of what a motor pulls at. With unknown encoder offsets the spring's torque is known up to
         a constant only: the link's dynamics say it."""
         if self.motion.robot.joints[i].rigid or self._floats(i):
-            return self.filter.spectrum(self.motion.rigid.tau[i]) - link_hat
+            return self.filter.spectrum(self.loads.carried(i, bodies)) - link_hat
         return spring_hat
 
     def _floats(self, i: int) -> bool:
@@ -238,41 +252,59 @@ class Chains:
     def _link_friction(
         self,
         i: int,
-        effects: Sequence[Planned],
+        at: Mapping[Site, Sequence[Planned]],
         signals: Signals,
         torque_hat: np.ndarray,
         calm: Chain | None,
     ) -> np.ndarray | float:
-        dry = [e for e in effects if e.effect.overrides("level")]
+        dry = [e for e in at[Site.LINK] if e.effect.overrides("level")]
         if not dry:
             return 0.0
-        load = self.motion.rigid.tau[i]
+        load = self.loads.carried(i, at[Site.BODY])
         if self.calm is not None and calm is not None:
-            own = calm.motor if self.motion.robot.joints[i].rigid else calm.spring_torque
+            own = self._pulling(i, at, calm.motor, calm.spring_torque, calm.reading)
             net, calm_net = self._times(torque_hat, own + calm.link)
-            net, calm_net = net - load, calm_net - self.calm.motion.rigid.tau[i]
+            net, calm_net = net - load, calm_net - self.calm.loads.carried(i, at[Site.BODY])
         else:
             net = calm_net = self._time(torque_hat) - load
         if self.floating:
             net, calm_net = net - np.mean(net), calm_net - np.mean(calm_net)
         return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i), self._noise(i))
 
+    def _pulling(
+        self,
+        i: int,
+        at: Mapping[Site, Sequence[Planned]],
+        motor_hat: np.ndarray,
+        spring_hat: np.ndarray,
+        reading: np.ndarray,
+    ) -> np.ndarray:
+        """Spectrum of what pulls at a link from its motor's side. What a friction of the link holds against
+        is the spring's torque as all that was measured tells it, each frequency by what tells it best."""
+        if self.motion.robot.joints[i].rigid:
+            return motor_hat
+        shares = self.base(i).precisions
+        if any(e.effect.overrides("level") for e in at[Site.MOTOR]) or not np.any(shares):
+            return spring_hat
+        ways = np.array([spring_hat, motor_hat, reading])
+        return np.asarray(np.sum(shares * ways, axis=0) / np.sum(shares, axis=0))
+
     def _motor_friction(
         self,
         i: int,
-        effects: Sequence[Planned],
+        at: Mapping[Site, Sequence[Planned]],
         signals: Signals,
         drive: Drive,
         net_hat: np.ndarray,
         calm: Chain | None,
     ) -> np.ndarray | float:
-        dry = [e for e in effects if e.effect.overrides("level")]
+        dry = [e for e in at[Site.MOTOR] if e.effect.overrides("level")]
         if not dry:
             return 0.0
         rigid = self.motion.robot.joints[i].rigid
         inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
         if self.calm is not None and calm is not None:
-            calm_hat = calm.motor - self.calm._load(i, calm.spring_torque, calm.link)
+            calm_hat = calm.motor - self.calm._load(i, calm.spring_torque, calm.link, at[Site.BODY])
             net, calm_net = self._times(net_hat, calm_hat)
         else:
             net = calm_net = self._time(net_hat)

@@ -18,12 +18,13 @@ class Source:
     values: np.ndarray
     held: bool
     origin: str  # tau_m | tau_motor | controller
+    feedback: float = 0.0  # N m/rad, with which it was made of theta, where it holds that reading's noise
 
 
 def torque_source(robot: Robot, recording: Recording, joint: Joint) -> Source | None:
     """The best source of a joint's motor torque, or None when nothing tells it."""
     if recording.has("tau_m", joint.name):
-        return Source(recording.get("tau_m", joint.name), True, "tau_m")
+        return Source(recording.get("tau_m", joint.name), True, "tau_m", joint.kp)
     if recording.has("tau_motor", joint.name):
         return Source(recording.get("tau_motor", joint.name), False, "tau_motor")
     return _from_controller(recording, joint)
@@ -50,4 +51,4 @@ def _from_controller(recording: Recording, joint: Joint) -> Source | None:
         + joint.kp * (recording.get("theta_ref", joint.name) - theta)
         + joint.kd * (wanted - speed)
     )
-    return Source(np.clip(torque, -joint.torque_limit, joint.torque_limit), True, "controller")
+    return Source(np.clip(torque, -joint.torque_limit, joint.torque_limit), True, "controller", joint.kp)

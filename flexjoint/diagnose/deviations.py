@@ -29,15 +29,22 @@ def held(workspace: Workspace, pull: np.ndarray) -> list[Planned]:
 
 def settled(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
     """(numbers,) deviations that explain most of the residual y of some effects, their products included."""
+    return workspace.deviations(relinearised(workspace, effects, y))
+
+
+def relinearised(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
+    """(samples,) the residual y of some effects as it would be if it were linear in the nominal numbers, with
+    the values that it has where these explain most of it: their products included, and when a friction holds
+    and lets go."""
     pull = workspace.deviations(y)
     for _ in range(SETTLING):
         there = workspace.residual([*effects, *held(workspace, pull)])
-        last = pull
-        pull = workspace.deviations(there + workspace.along(np.where(_as_effects(workspace), pull, 0.0)))
+        last, y = pull, there + workspace.along(np.where(_as_effects(workspace), pull, 0.0))
+        pull = workspace.deviations(y)
         moved = workspace.along(pull - last) * workspace.weights
         if float(moved @ moved) < SETTLED:
             break
-    return pull
+    return y
 
 
 def judged_energy(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
@@ -63,7 +70,8 @@ def _energy_at(workspace: Workspace, pull: np.ndarray, effects: Sequence[Planned
     """Energy of some effects where the nominal numbers are off by these deviations."""
     there = [*workspace.with_nominal(effects), *held(workspace, pull)]
     scale = np.array([workspace.torque_scale[r.joint] for r in workspace.balances.rows])
-    white = whitening.make(workspace.balances, scale, there).apply(workspace.balances.residual(there)).ravel()
+    there_white = whitening.make(workspace.balances, scale, there, like=workspace.whitening)
+    white = there_white.apply(workspace.balances.residual(there)).ravel()
     # other nominal numbers (of effects, offsets) change no noise: their part stays linear
     linear = workspace.along(np.where(_as_effects(workspace), 0.0, pull))
     residual = (white - linear) * workspace.weights

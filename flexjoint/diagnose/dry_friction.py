@@ -1,8 +1,8 @@
 """Dry friction on data: a set-valued law, where a body's speed and what pulls at it are measured.
 
 In motion it is level sgn(speed). At rest it is what holds the body, which the balance itself tells, within
-+-level; away from where the body stops and breaks loose that is told without the sensors' noise: a friction
-holds a body and no noise.
++-level; that is told without the sensors' noise, as a friction holds a body and no noise, but for where the
+body stops and breaks loose.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ RESTING = 1.0  # of the speed that friction changes within the filter's width: a
 SPEED_SIGMAS = 4.0  # of the sensors' noise in a speed, below which its sign says nothing
 HELD = 1.25  # of the level: what the filter leaves of a breakaway may overshoot it
 FRICTION_ROUNDS = 4
+NOISY = 0.1  # of the level: a noise that is larger would be cut off on one side, where all of it holds
 CALM_SIGMAS = 5.0  # of the filter, within which of a motion a denoised acceleration rings
 
 
@@ -59,6 +60,8 @@ class DryFriction:
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
         """
         window = self._window
+        if float(np.std(net - calm_net)) > NOISY * float(np.max(level)):
+            net = calm_net
         most = self.held * level
         least = -most
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnose.balances import acts_within_a_joint
-from flexjoint.diagnose.deviations import held, judged_energy, settled
+from flexjoint.diagnose.deviations import held, judged_energy, relinearised, settled
 from flexjoint.diagnose.nuisance import entangles
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.effect import Param, Planned, Site
@@ -88,9 +88,18 @@ def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) 
     current, y, jacobian = _descend(workspace, list(effects), slots, iterations)
     if any(entangles(e) for e in effects):  # where a friction rests, how far a spring is turned, by its size
         workspace = workspace.about(current)
-        current, y, jacobian = _descend(workspace, current, slots, iterations)
+        bent = _bent(workspace, current, y)
+        current, y, jacobian = _descend(workspace, current, slots, iterations, bent)
     judge = partial(_judged, workspace, y, tuple(current), slots)
     return Fit(workspace, tuple(_wrap(current)), judge, y, jacobian, slots)
+
+
+def _bent(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
+    """What the residual y of effects lacks of one that knows when friction holds a body whose load or spring
+    is off by what the nominal numbers' tolerances take on."""
+    if not any(e.effect.overrides("level") for e in effects):
+        return 0.0
+    return relinearised(workspace, effects, y) - y
 
 
 def evaluated(result: Fit) -> Fit:
@@ -104,10 +113,15 @@ def _judged(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned], slo
 
 
 def _descend(
-    workspace: Workspace, current: list[Planned], slots: Sequence[Slot], iterations: int
+    workspace: Workspace,
+    current: list[Planned],
+    slots: Sequence[Slot],
+    iterations: int,
+    bent: np.ndarray | float = 0.0,
 ) -> tuple[list[Planned], np.ndarray, np.ndarray]:
-    """Values at the nearest minimum of the energy, the residual there and its derivatives."""
-    y = workspace.residual(current)
+    """Values at the nearest minimum of the energy, the residual there and its derivatives; `bent` is added to
+    all residuals."""
+    y = workspace.residual(current) + bent
     energy = workspace.energy(y) + _prior(slots, current)
     damping, taken = 1e-3, current  # where each column was taken
     jacobian = jacobian_of(workspace, current, slots)
@@ -120,7 +134,7 @@ def _descend(
             if tried and promised is not None and promised < enough:
                 break
             tried = True
-            trial_y = workspace.residual(trial)
+            trial_y = workspace.residual(trial) + bent
             trial_energy = workspace.energy(trial_y) + _prior(slots, trial)
             better = bool(np.isfinite(trial_energy)) and trial_energy < energy
             if not better:

@@ -11,6 +11,8 @@ from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.signals import wiener
 from flexjoint.effect import Signals
 
+ROUNDING = 1e-4  # of a torque: as well as filters and interpolation keep it
+
 
 class JointReadings:
     """What of a joint's readings does not depend on any effect but its sensors', computed once. `true` are
@@ -25,6 +27,7 @@ class JointReadings:
         self.q, self.theta, self.tau_t = true
         self._window, self._drive = window, motion.robot.joints[i].drive
         self._readings, self._joint = readings, i
+        self._complete = not any(joint == i for _, joint in motion.missing)
         self.driven = bool(np.isfinite(readings.torque[i, 0]))
         self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
         self.q_hat = window.spectrum(self.q) * window.gain
@@ -54,6 +57,20 @@ class JointReadings:
     @cached_property
     def spring(self) -> np.ndarray:
         return np.asarray(fft.irfft(self.spring_hat, self._window.size)[: self._window.count])
+
+    @cached_property
+    def precisions(self) -> np.ndarray:
+        """(3, F) one over the variance with which encoders, motor and torque sensor tell the spring's torque,
+        at each frequency; 0 of what is not there."""
+        s, noise, j = 1j * self._window.omega, self._readings.noise, self._joint
+        by_q, by_theta, by_sensor, by_torque = (noise[c][j] ** 2 for c in ("q", "theta", "tau_t", "torque"))
+        encoders = np.abs(self._drive.K + self._drive.D * s) ** 2 * (by_q + by_theta)
+        motor = by_torque + np.abs(self._drive.B * s**2 + self._drive.D_m * s) ** 2 * by_theta
+        sensor = np.full_like(encoders, by_sensor)
+        # what is not noise is known to no more than rounding
+        least = (ROUNDING * float(np.std(self.spring))) ** 2 + 1e-300
+        told = np.array([self._complete, self.driven and self._complete, np.isfinite(self.tau_t[0])])
+        return np.where(told[:, None], 1.0 / np.maximum([encoders, motor, sensor], least), 0.0)
 
     @cached_property
     def shaft_hat(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from flexjoint.robot import Robot
 OFFSET_SPREAD = 0.2  # rad, standard deviation of an encoder offset that is free in each recording
 TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
 OTHER_COMPONENT = 0.1  # a centre of mass is trusted in its small components to this share of its length
+STEP = 0.01  # prior deviations, of a derivative where friction holds: a whole one may break it loose
 REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
 
 
@@ -196,20 +197,38 @@ class Columns:
         return {j: [e for e in effects if e.joint == j and e.effect.site is not Site.BODY] for j in joints}
 
     def beside(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
-        """Columns (by their number's index) of actuators whose numbers do something else beside effects."""
-        out: dict[int, np.ndarray] = {}
-        for joint, own in self.entangled(effects).items():
-            for k, number in enumerate(self.nuisance):
-                if number.joint == joint and number.name in NUMBERS:
-                    key = (number.name, joint, *(e.identity for e in own))
-                    make = partial(self._beside, own, joint, number)
-                    out[k] = self.whitening.white(self._recent.get(key, make, REMEMBERED)).ravel()
+        """Columns (by their number's index) of numbers that do something else beside effects: of actuators
+        beside effects of their joint, of links beside a friction that holds them."""
+        entangled, chains = self.entangled(effects), self.balances.chains
+        names, out = self.robot.joint_names, {}
+        holding = [j for j, own in entangled.items() if chains.rests_on_load(names.index(j), own)]
+        for k, number in enumerate(self.nuisance):
+            if number.name in NUMBERS:
+                own = entangled.get(str(number.joint), [])
+            elif number.name == "inertial":
+                own = [e for j in holding if self._carries(j, str(number.joint)) for e in entangled[j]]
+            else:
+                continue
+            if own:
+                key = (k, *(e.identity for e in own))
+                band = self._recent.get(key, partial(self._beside, own, k), REMEMBERED)
+                out[k] = self.whitening.white(band).ravel()
         return out
 
-    def _beside(self, own: Sequence[Planned], joint: str, number: Nuisance) -> Band:
-        """Trace of a joint's number beside effects of that joint, before it is whitened."""
-        off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: number.spread}
-        return self.whitening.band(self.balances.changed(own, [*own, Planned(DriveDeviation(), joint, off)]))
+    def _carries(self, joint: str, other: str) -> bool:
+        """Whether a joint carries the link of another, or its own."""
+        carried_by = self.robot.model.supports[self.robot.joint(other).pin_id]
+        return self.robot.joint(joint).pin_id in carried_by
+
+    def _beside(self, own: Sequence[Planned], k: int) -> Band:
+        """Trace of a number's deviation beside effects, before it is whitened."""
+        deviations = np.zeros(len(self.nuisance))
+        deviations[k] = STEP
+        off = as_effects(self.nuisance, deviations, self.motion.rigid.inertial, self.robot)
+        joint = self.nuisance[k].joint
+        moved = [e for e in off if e.joint == joint and e.effect.site in (Site.MOTOR, Site.BODY)]
+        changed = self.balances.changed(own, [*own, *moved])
+        return self.whitening.band({row: spectrum / STEP for row, spectrum in changed.items()})
 
     def load_band(self, torque: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (n, N) of the rigid-body torques."""
@@ -241,9 +260,10 @@ class Columns:
 
 
 def entangles(e: Planned) -> bool:
-    """Whether an effect changes what a small change of its joint's actuator does: a body that dry friction
-    holds at rest is held against whatever its spring pulls, and a stiffness acts on the deflection that an
-    offset of an encoder, or a gap, leaves. (The change of a number takes its own tolerance along itself.)"""
+    """Whether an effect changes what a small change of its joint's actuator or link does: a body that dry
+    friction holds at rest is held against whatever its spring or its load pulls, and a stiffness acts on the
+    deflection that an offset of an encoder, or a gap, leaves. (The change of a number takes its own
+    tolerance along itself.)"""
     return e.effect.overrides("level") or e.effect.site in (Site.DEFLECTION, Site.SENSOR)
 
 

@@ -27,14 +27,23 @@ CLEARED = 0.3  # how often at least a name is right that leaves no more than tha
 
 def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
     """Largest variance, in that of the noise, of what is left in the balances that effect k of a set touches,
-    and its share of what was there with `nothing`; correlated leftovers count as the few independent samples
-    that they are."""
-    touched = np.flatnonzero(torque_shares(best.workspace, best.effects, k) > 0.0)
-    if not touched.size:
+    whitened alone or beside those before them, and its share of what was there with `nothing`; correlated
+    leftovers count as the few independent samples that they are."""
+    touched = torque_shares(best.workspace, best.effects, k) > 0.0
+    if not np.any(touched):
         return 1.0, 1.0
+    touched[_most_telling(best, k)] = True
     levels = best.workspace.levels(best.y)
-    row = touched[np.argmax(levels[touched])]
+    row = int(np.argmax(np.where(touched, levels, 0.0)))
     return float(levels[row]), float(levels[row] / nothing.workspace.temper[row])
+
+
+def _most_telling(best: Fit, k: int) -> int:
+    """The whitened balance in which effect k of a set leaves its largest mark: a friction of a motor may be
+    lost in the noise of its spring, and known from the load of its link alone."""
+    others = [e for i, e in enumerate(best.effects) if i != k]
+    mark = best.workspace.moved(others, best.effects).reshape(len(best.workspace.temper), -1)
+    return int(np.argmax(np.sum(mark**2, axis=1)))
 
 
 def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:

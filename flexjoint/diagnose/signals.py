@@ -17,7 +17,7 @@ from scipy.signal import welch
 from flexjoint.clock import on_regular_clock
 from flexjoint.diagnose.command import Source, torque_source
 from flexjoint.errors import RecordingError
-from flexjoint.noise import white_noise
+from flexjoint.noise import step_of, white_noise
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
@@ -48,8 +48,10 @@ class Readings:
     tau_t: np.ndarray
     torque: np.ndarray
     commanded: np.ndarray  # (n,) bool: torque is a command (held), not a measurement
+    feedback: np.ndarray  # (n,) N m/rad, with which a torque was made of the recorded theta; 0: it was not
     valid: np.ndarray
     noise: dict[str, np.ndarray]
+    steps: dict[str, np.ndarray]  # per channel of `noise`: (n,) step of quantised samples, or 0
     sigma: float  # [s] of the Gaussian filter
     start: float  # recording time of the first sample [s]
 
@@ -69,8 +71,8 @@ def prepare(robot: Robot, recording: Recording) -> Readings:
     time = recording.time[0] + period * np.arange(count)
     n = len(robot.joints)
     channels = {name: np.full((n, count), np.nan) for name in ("q", "theta", "tau_t", "torque")}
-    noise = {name: np.zeros(n) for name in channels}
-    commanded = np.zeros(n, dtype=bool)
+    noise, steps = ({name: np.zeros(n) for name in channels} for _ in range(2))
+    commanded, feedback = np.zeros(n, dtype=bool), np.zeros(n)
     valid = np.ones(count, dtype=bool)
     for row, joint in enumerate(robot.joints):
         for channel in ("q", "theta", "tau_t"):
@@ -80,6 +82,7 @@ def prepare(robot: Robot, recording: Recording) -> Readings:
             channels[channel][row], good = _evenly(recording.time, samples, time)
             valid &= good
             noise[channel][row] = white_noise(samples)
+            steps[channel][row] = step_of(samples[np.isfinite(samples)])
         source = torque_source(robot, recording, joint)
         if source is None:
             continue
@@ -88,6 +91,7 @@ def prepare(robot: Robot, recording: Recording) -> Readings:
         channels["torque"][row] = values
         valid &= good
         noise["torque"][row] = _torque_noise(source, period, robot.rates.control)
+        feedback[row] = source.feedback * _unknown_share(source, period, robot.rates.control)
     if not np.any(np.isfinite(channels["q"]) | np.isfinite(channels["theta"])):
         raise RecordingError(
             f"{recording.name}: no position of any joint of {robot.name}; expected q.<joint> or theta.<joint>"
@@ -95,8 +99,8 @@ def prepare(robot: Robot, recording: Recording) -> Readings:
         )
     sigma = max(FILTER_SECONDS, FILTER_SAMPLES * period)
     return Readings(
-        time, **channels, commanded=commanded, valid=_shrink(valid, sigma, period), noise=noise,
-        sigma=sigma, start=float(recording.time[0]),
+        time, **channels, commanded=commanded, feedback=feedback, valid=_shrink(valid, sigma, period),
+        noise=noise, steps=steps, sigma=sigma, start=float(recording.time[0]),
     )  # fmt: skip
 
 
@@ -137,11 +141,13 @@ def _torque_noise(source: Source, period: float, rate: float) -> float:
     record one is known, which stands for the mean of all: of their white noise, slow as the balances are,
     (1 - 1/ticks)^2 for that one and (ticks - 1) / ticks^2 for the others. What the controller makes of
     readings holds their noise, which need not be what the controller saw."""
-    white = white_noise(source.values)
-    if source.origin != "tau_m":
-        return white
-    ticks = max(1.0, period * rate)
-    return white * float(np.sqrt(1.0 - 1.0 / ticks))
+    return white_noise(source.values) * float(np.sqrt(_unknown_share(source, period, rate)))
+
+
+def _unknown_share(source: Source, period: float, rate: float) -> float:
+    """Share of a recorded torque's white noise that the mean torque of a period does not have, in variance as
+    in covariance with a noise that it holds."""
+    return 1.0 - 1.0 / max(1.0, period * rate) if source.origin == "tau_m" else 1.0
 
 
 def margin(sigma: float) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexjoint.diagnose.fit import Fit, fit
-from flexjoint.diagnose.worth import FINER_ERROR, leftover, score
+from flexjoint.diagnose.worth import FINER_ERROR, METHOD_ERROR, leftover, score
 from flexjoint.diagnosis import Tie
 from flexjoint.effect import Kind, Planned
 
@@ -29,7 +29,6 @@ def ties(
         return ()
     if explained is None:
         explained = fit(best.workspace, [e for e in best.effects if e is not planned]).energy - best.energy
-    negligible = FINER_ERROR * explained
     for rival in rivals:
         other = rival.effects[-1]
         delays = [e.effect.kind is Kind.TIMING for e in (planned, other)]
@@ -39,7 +38,9 @@ def ties(
         if planned.effect.name in other.effect.contains or len(out) >= MOST_TIES:
             continue
         why = ""
-        little = rival.energy - best.energy < negligible
+        # a load along shifted angles is known to first order in the shift
+        share = METHOD_ERROR if all(delays) else FINER_ERROR
+        little = rival.energy - best.energy < share * explained
         if behind <= margin:
             why = f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides)"
         elif little and all(delays):

@@ -9,15 +9,17 @@ The whitened residual of a healthy robot then has energy 1 per degree of freedom
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import fft
+from scipy.ndimage import uniform_filter1d
 
 from flexjoint.body import inertial_of
 from flexjoint.diagnose.balances import LINK, MOTOR, Balances, Row
 from flexjoint.diagnose.motion import mass_along
+from flexjoint.diagnose.rounding import Colour
 from flexjoint.diagnose.signals import PADDED_SIGMAS, margin
 from flexjoint.effect import Drive, Planned, Signals, Site
 from flexjoint.robot import Joint
@@ -27,6 +29,12 @@ ROUNDING = 1e-11
 MASSES = 1000  # mass matrices along a motion
 CHUNK = 512  # frequencies at a time
 UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
+MISSING = 0.1  # variance, in that of the noise, that a white sample may lack of what was cut off, ...
+AROUND = 9  # ... as the mean over so many samples ...
+DRAWS, DRAWN = 6, 5  # ... and draws, of this seed
+LEAST_STEADY = 0.5  # share of the samples that must be left: else the record is used as it is
+FED_BACK = 1.2  # times a torque's noise, up to which that may be what a controller made of theta's ...
+AT_MOST = 0.95  # ... and the most of it that is believed to be
 FLOOR = 6e-4  # of each balance's torque RMS: numerical error of filters and interpolation, white in the band
 
 
@@ -69,10 +77,8 @@ class Whitening:
         """(m,) standard deviation of the filtered balances' noise [N m], beyond the band too (spectra are
         smooth: every eighth bin will do)."""
         window = self.noise.balances.filter
-        omega, gain = window.omega[::8], window.gain[::8]
-        transfer, extra = self.noise.at(omega)
-        own = np.abs(transfer) ** 2 @ self.noise.variances + np.einsum("faa->fa", extra).real
-        return np.asarray(np.sqrt(np.mean(own * (gain**2)[:, None], axis=0) + self.floor**2))
+        own = np.einsum("faa->fa", self.noise.spectrum(window.omega[::8], window.gain[::8])).real
+        return np.asarray(np.sqrt(np.mean(own, axis=0) + self.floor**2))
 
     def apply(self, spectra: np.ndarray) -> np.ndarray:
         """(m, F) -> (m, K): whitened series at the usable samples."""
@@ -102,9 +108,15 @@ class Whitening:
         return np.asarray(fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale)
 
 
-def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned]) -> Whitening:
+def make(
+    balances: Balances,
+    torque_scale: np.ndarray,
+    effects: Sequence[Planned],
+    like: Whitening | None = None,
+) -> Whitening:
     """The whitening of these balances under a model with these effects; `torque_scale` (m,) is each
-    balance's torque RMS [N m]. Effects matter: a payload's inertia turns more encoder noise into torque."""
+    balance's torque RMS [N m]. Effects matter: a payload's inertia turns more encoder noise into torque.
+    Samples are those of a whitening `like` it, or all that are white wherever the record ends."""
     window = balances.filter
     # the band ends a little later, where that makes a length that transforms fast
     length = 2 * fft.next_fast_len(int(np.searchsorted(-window.gain, -CUT_GAIN)) - 1, real=True)
@@ -132,8 +144,8 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
     inside = nearest < window.count
     usable = np.zeros(length, dtype=bool)
     usable[inside] = balances.motion.readings.valid[nearest[inside]]
-    keep = np.flatnonzero(usable)
-    return Whitening(
+    keep = np.flatnonzero(usable) if like is None else like.keep
+    made = Whitening(
         matrix,
         taper,
         window.size,
@@ -146,6 +158,29 @@ def make(balances: Balances, torque_scale: np.ndarray, effects: Sequence[Planned
         noise,
         floor,
     )
+    if like is not None:
+        return made
+    keep = _steady(made)
+    return replace(made, keep=keep, time=times[keep])
+
+
+def _steady(whitening: Whitening) -> np.ndarray:
+    """Indices of the white samples in which what was cut off at the record's edges and gaps is hardly
+    missing: where little damps it, a whitening rings for as long as the joint does. Drawn, not solved for:
+    balances of the predicted noise, and what the window leaves out of them."""
+    rng = np.random.default_rng(DRAWN)
+    band, rows = whitening.taper.size, len(whitening.matrix)
+    missing = np.zeros((rows, whitening.keep.size))
+    factor = np.moveaxis(whitening.matrix, -1, 0)
+    for _ in range(DRAWS):
+        white = fft.rfft(rng.standard_normal((rows, whitening.length)), axis=-1) / whitening.scale
+        balances = np.linalg.solve(factor, white.T[:, :, None])[:, :, 0].T
+        series = fft.irfft(balances, whitening.size, axis=-1) * (1.0 - whitening.window)
+        lost = fft.rfft(series, axis=-1)[:, :band] * whitening.taper
+        missing += whitening.white(Band(np.arange(rows), lost)) ** 2 / DRAWS
+    seen = uniform_filter1d(missing, AROUND, axis=1, mode="nearest").max(axis=0)
+    steady = seen < MISSING
+    return whitening.keep[steady] if np.mean(steady) > LEAST_STEADY else whitening.keep
 
 
 def _window(balances: Balances) -> np.ndarray:
@@ -167,6 +202,8 @@ class Noise:
     drives: tuple[Drive, ...]
     load: tuple[np.ndarray, np.ndarray, np.ndarray]  # (n, n) torques by q, q' and q''
     variances: np.ndarray  # (4 n,) of q, theta, tau_t and the torque
+    colours: Mapping[int, Colour]  # of those that are not white
+    shared: np.ndarray  # (n,) covariance of a joint's torque and theta, where the torque was made of theta
     spread: Mapping[int, np.ndarray]  # (n, n) covariance of the mass matrix's columns along the motion
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,8 +234,28 @@ class Noise:
     def spectrum(self, omega: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """(F, m, m) of the balances, filtered with this gain (F,)."""
         transfer, extra = self.at(omega)
-        spread = (transfer * self.variances) @ transfer.conj().swapaxes(1, 2)
+        spread = (transfer * self._coloured(omega)[:, None, :]) @ transfer.conj().swapaxes(1, 2)
+        n = len(self.drives)
+        for i in (int(i) for i in np.flatnonzero(self.shared)):
+            theta, torque = transfer[:, :, n + i], transfer[:, :, 3 * n + i]
+            both = self._adding(i, omega)[:, None, None] * torque[:, :, None] * theta.conj()[:, None, :]
+            spread = spread + both + both.conj().swapaxes(1, 2)
         return np.asarray((spread + extra) * (gain**2)[:, None, None])
+
+    def _coloured(self, omega: np.ndarray) -> np.ndarray:
+        """(F, 4 n) variances, as white noise would have to have them at each frequency."""
+        out = np.tile(self.variances, (omega.size, 1))
+        for channel, colour in self.colours.items():
+            out[:, channel] *= colour.at(omega)
+        return out
+
+    def _adding(self, i: int, omega: np.ndarray) -> np.ndarray:
+        """(F,) covariance of joint i's torque and theta where the spring's torque is the larger part of what
+        theta says: there the two add up. Beyond, where the motor's inertia is, they would cancel; but a
+        controller that saw another noise than the recorded one makes them independent."""
+        drive, colour = self.drives[i], self.colours.get(len(self.drives) + i)
+        share = 1.0 if colour is None else np.minimum(1.0, colour.at(omega))
+        return np.where(drive.B * omega**2 < drive.K, share * self.shared[i], 0.0)
 
 
 def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
@@ -226,7 +283,12 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
         if k not in unmeasured and not joint.rigid
     }
     drives = tuple(_drive(joint, effects) for joint in robot.joints)
-    return Noise(balances, drives, (by_q, by_v, mass), variances, spread)
+    of_theta, of_torque = np.sqrt(variances[theta]), np.sqrt(variances[3 * n :])
+    fed_back = readings.feedback * of_theta
+    # a torque with less noise than that was made of other readings
+    fed_back = np.where(fed_back < FED_BACK * of_torque, np.minimum(fed_back, AT_MOST * of_torque), 0.0)
+    shared = -of_theta * fed_back
+    return Noise(balances, drives, (by_q, by_v, mass), variances, balances.colours, shared, spread)
 
 
 def _row_transfer(
