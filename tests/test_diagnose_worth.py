@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from diagnose_cases import Case, as_recording, found_in, nominal, summary
-from planting import Planted
+from planting import FULL, ROBOTS, Planted, plant
 from study.cases import make
 
 from flexjoint.diagnose import trials, worth
@@ -361,3 +361,20 @@ def test_where_hardly_anything_counts_a_wrong_number_is_not_the_end() -> None:
     assert abs(above.effects[0].values["level"] / truth.value("level") - 1.0) > 0.05
     clearer = trials._clearer((nothing, bare, above))
     assert clearer.effects[0].values["level"] == pytest.approx(truth.value("level"), rel=0.02)
+
+
+@pytest.mark.parametrize(("resolution", "seen"), [(2.0 * np.pi / 2**18, True), (2.0 * np.pi / 2**14, False)])
+def test_a_gap_below_the_step_of_an_encoder_is_not_seen(resolution: float, seen: bool) -> None:
+    """Rounding makes a dead zone of its own: on a healthy joint that turns its spring by 20 steps a gap of
+    half a step was named, beside a stiffness."""
+    sensors = replace(
+        FULL,
+        noise={"q": 4e-6, "theta": 4e-6, "dq": 5e-3, "dtheta": 5e-3, "tau_t": 0.05},
+        resolution=resolution,
+    )
+    recorded = plant(ROBOTS / "lever_exact.yaml", [], "rich", 8.0, 3, sensors)
+    workspace = Workspace(balances_of(nominal("lever_exact"), as_recording(recorded)))
+
+    assert degenerate(workspace, plan("backlash", "swing", {"gap": 2e-4})) is not seen
+    assert not degenerate(workspace, plan("backlash", "swing", {"gap": 6e-4}))
+    assert not degenerate(workspace, plan("link_encoder_offset", "swing", {"offset": 2e-4}))  # a mean

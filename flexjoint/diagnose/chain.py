@@ -27,6 +27,7 @@ from flexjoint.flow import neighbours
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
 REMEMBERED = 2e7  # bytes of chains ...
 CORRECTED = 1e7  # ... and of readings with what sensors do taken back
+NOWHERE = np.zeros(0, dtype=bool)
 DRIVING = ("q", "dq", "theta", "dtheta", "phi", "dphi")  # signals that states may see
 
 
@@ -39,6 +40,8 @@ class Chain:
     link: np.ndarray  # torque on the link other than the spring's
     reading: np.ndarray  # tau_t, corrected
     q_change: np.ndarray | None  # what sensor effects change of the link angle; None: nothing
+    held_motor: np.ndarray  # (N,) bool, or (): where a dry friction of the motor holds, whatever pulls ...
+    held_link: np.ndarray  # ... and one of the link
 
     @property
     def nbytes(self) -> int:
@@ -127,14 +130,17 @@ class Chains:
         calm = None
         if self.calm is not None and any(e.effect.overrides("level") for e in effects):
             calm = self.calm.get(i, [e for e in effects if not e.effect.overrides("level")])
-        link_hat = link_hat + self._link_friction(i, at, signals, own + link_hat, calm)
+        rubbing, held_link = self._link_friction(i, at, signals, own + link_hat, calm)
+        link_hat, held_motor = link_hat + rubbing, NOWHERE
         if base.driven:
             net_hat = motor_hat - self._load(i, spring_hat, link_hat, at[Site.BODY])
-            motor_hat = motor_hat + self._motor_friction(i, at, signals, drive, net_hat, calm)
+            rubbing, held_motor = self._motor_friction(i, at, signals, drive, net_hat, calm)
+            motor_hat = motor_hat + rubbing
         change = q_hat - base.q_hat if q is not base.q else None
         if joint.rigid:
             motor_hat, link_hat = motor_hat + link_hat, 0.0
-        return Chain(motor_hat, spring_hat, link_hat + np.zeros_like(spring_hat), readings.reading, change)
+        link_hat = link_hat + np.zeros_like(spring_hat)
+        return Chain(motor_hat, spring_hat, link_hat, readings.reading, change, held_motor, held_link)
 
     def _load(
         self, i: int, spring_hat: np.ndarray, link_hat: np.ndarray | float, bodies: Sequence[Planned]
@@ -256,10 +262,10 @@ class Chains:
         signals: Signals,
         torque_hat: np.ndarray,
         calm: Chain | None,
-    ) -> np.ndarray | float:
+    ) -> tuple[np.ndarray | float, np.ndarray]:
         dry = [e for e in at[Site.LINK] if e.effect.overrides("level")]
         if not dry:
-            return 0.0
+            return 0.0, NOWHERE
         load = self.loads.carried(i, at[Site.BODY])
         if self.calm is not None and calm is not None:
             own = self._pulling(i, at, calm.motor, calm.spring_torque, calm.reading)
@@ -297,10 +303,10 @@ class Chains:
         drive: Drive,
         net_hat: np.ndarray,
         calm: Chain | None,
-    ) -> np.ndarray | float:
+    ) -> tuple[np.ndarray | float, np.ndarray]:
         dry = [e for e in at[Site.MOTOR] if e.effect.overrides("level")]
         if not dry:
-            return 0.0
+            return 0.0, NOWHERE
         rigid = self.motion.robot.joints[i].rigid
         inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
         if self.calm is not None and calm is not None:
@@ -326,8 +332,8 @@ class Chains:
         calm_net: np.ndarray,
         inertia: float,
         noise: float,
-    ) -> np.ndarray:
-        """Spectrum of the effects' dry friction (dry_friction.py)."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Spectrum of the effects' dry friction, and where it holds (dry_friction.py)."""
         level = self._level(effects, signals, speed, REST_SPEED)
         rest = self.friction.rest_speed(level, inertia, noise)
         if rest < REST_SPEED:

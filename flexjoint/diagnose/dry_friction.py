@@ -52,9 +52,10 @@ class DryFriction:
         calm_net: np.ndarray,
         inertia: float,
         rest: float,
-    ) -> np.ndarray:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(F,) spectrum of the filtered friction torque, from series (N,): its level, the body's filtered
         speed, and what else pulls at it, as measured and without noise; below the `rest` speed it stands.
+        And where it holds, whatever pulls (N,) bool.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
@@ -76,4 +77,4 @@ class DryFriction:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 sharp_net = net + lost
                 sharp_speed = speed - integral / inertia
-        return -spectrum * window.gain
+        return -spectrum * window.gain, ~moving & (np.abs(held) < most)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from flexjoint.robot import Robot
 OFFSET_SPREAD = 0.2  # rad, standard deviation of an encoder offset that is free in each recording
 TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
 OTHER_COMPONENT = 0.1  # a centre of mass is trusted in its small components to this share of its length
+STEP = 0.01  # prior deviations, of a derivative where friction holds: a whole one may break it loose
 STEP = 0.01  # prior deviations, of a derivative where friction holds: a whole one may break it loose
 REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
 
@@ -199,36 +200,54 @@ class Columns:
     def beside(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
         """Columns (by their number's index) of numbers that do something else beside effects: of actuators
         beside effects of their joint, of links beside a friction that holds them."""
-        entangled, chains = self.entangled(effects), self.balances.chains
-        names, out = self.robot.joint_names, {}
-        holding = [j for j, own in entangled.items() if chains.rests_on_load(names.index(j), own)]
-        for k, number in enumerate(self.nuisance):
-            if number.name in NUMBERS:
-                own = entangled.get(str(number.joint), [])
-            elif number.name == "inertial":
-                own = [e for j in holding if self._carries(j, str(number.joint)) for e in entangled[j]]
-            else:
-                continue
-            if own:
-                key = (k, *(e.identity for e in own))
-                band = self._recent.get(key, partial(self._beside, own, k), REMEMBERED)
-                out[k] = self.whitening.white(band).ravel()
+        entangled = self.entangled(effects)
+        out = self._loads_beside(entangled)
+        for joint, own in entangled.items():
+            for k, number in enumerate(self.nuisance):
+                if number.joint == joint and number.name in NUMBERS:
+                    key = (number.name, joint, *(e.identity for e in own))
+                    make = partial(self._beside, own, joint, number)
+                    out[k] = self.whitening.white(self._recent.get(key, make, REMEMBERED)).ravel()
         return out
 
-    def _carries(self, joint: str, other: str) -> bool:
-        """Whether a joint carries the link of another, or its own."""
-        carried_by = self.robot.model.supports[self.robot.joint(other).pin_id]
-        return self.robot.joint(joint).pin_id in carried_by
-
-    def _beside(self, own: Sequence[Planned], k: int) -> Band:
-        """Trace of a number's deviation beside effects, before it is whitened."""
-        deviations = np.zeros(len(self.nuisance))
-        deviations[k] = STEP
-        off = as_effects(self.nuisance, deviations, self.motion.rigid.inertial, self.robot)
-        joint = self.nuisance[k].joint
-        moved = [e for e in off if e.joint == joint and e.effect.site in (Site.MOTOR, Site.BODY)]
-        changed = self.balances.changed(own, [*own, *moved])
+    def _beside(self, own: Sequence[Planned], joint: str, number: Nuisance) -> Band:
+        """Trace of a joint's number beside effects of that joint, before it is whitened."""
+        off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: STEP * number.spread}
+        changed = self.balances.changed(own, [*own, Planned(DriveDeviation(), joint, off)])
         return self.whitening.band({row: spectrum / STEP for row, spectrum in changed.items()})
+
+    def _loads_beside(self, entangled: Mapping[str, Sequence[Planned]]) -> dict[int, np.ndarray]:
+        """Columns of links' numbers whose loads a friction holds: where it does, they leave no trace."""
+        names, chains = self.robot.joint_names, self.balances.chains
+        held: dict[tuple[str, int], np.ndarray] = {}  # by balance and joint
+        for joint, own in entangled.items():
+            i = names.index(joint)
+            if chains.rests_on_load(i, own):
+                chain = chains.get(i, own)
+                for balance, where in ((LINK, chain.held_link), (MOTOR, chain.held_motor)):
+                    row = (MOTOR if self.robot.joints[i].rigid else balance, i)
+                    if np.any(where):
+                        held[row] = where | held.get(row, False)
+        out: dict[int, np.ndarray] = {}
+        for k, direction in self._directions.items() if held else ():
+            torque = self.balances.inertial_torque(names.index(str(self.nuisance[k].joint)), direction)
+            taken = {
+                row: self._spectrum(w * torque[row[1]]) for row, w in held.items() if torque[row[1]].any()
+            }
+            if taken:
+                out[k] = self.matrix[k] + self._column(taken)
+        return out
+
+    @cached_property
+    def _directions(self) -> dict[int, np.ndarray]:
+        """(10,) changes of a link's inertial parameters by one deviation each, by number."""
+        out: dict[int, np.ndarray] = {}
+        at = [k for k, number in enumerate(self.nuisance) if number.name == "inertial"]
+        for joint in dict.fromkeys(self.nuisance[k].joint for k in at):
+            nominal = self.motion.rigid.inertial[self.robot.joint_names.index(str(joint))]
+            own = [k for k in at if self.nuisance[k].joint == joint]
+            out |= zip(own, inertial_directions(nominal, self.robot.tolerance.inertial), strict=True)
+        return out
 
     def load_band(self, torque: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (n, N) of the rigid-body torques."""

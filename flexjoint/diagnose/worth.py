@@ -14,7 +14,7 @@ import numpy as np
 from flexjoint.diagnose.fit import Fit, fit, shifts
 from flexjoint.diagnose.nuisance import NUMBERS
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.effect import Kind, Param, Planned
+from flexjoint.effect import Kind, Param, Planned, Site
 
 # energy that an effect of one number must earn on one joint, 4 deviations: some hundred candidates are tried,
 # and in a hundred healthy recordings chance may favour one of them
@@ -103,15 +103,25 @@ def degenerate(workspace: Workspace, planned: Planned) -> bool:
 
 def _unseen(workspace: Workspace, planned: Planned, shapes: Sequence[Param]) -> bool:
     """Whether a law has a length (a scale or width, not a place) below the noise of its joint's positions, or
-    sets in and has nothing above it: a shift so small is a drift of whatever the model holds."""
+    sets in and has nothing above it: a shift so small is a drift of whatever the model holds. Nor is a change
+    of the deflection seen below the step of an encoder that little noise blurs."""
     if planned.joint is None:
         return False
-    noise, k = workspace.readings.noise, workspace.robot.joint_names.index(planned.joint)
-    finest = max(float(noise["q"][k]), float(noise["theta"][k]))
+    readings, k = workspace.readings, workspace.robot.joint_names.index(planned.joint)
+    finest = max(float(readings.noise["q"][k]), float(readings.noise["theta"][k]))
     if any(p.unit == "rad" and p.low > 0.0 and planned.values[p.name] < finest for p in shapes):
         return True
-    sizes = [p for p in planned.effect.nulls if planned.since is not None]
+    if planned.since is None:
+        finest = _coarsest_step(workspace, k) if planned.effect.site is Site.DEFLECTION else 0.0
+    sizes = planned.effect.nulls
     return bool(sizes) and all(p.unit == "rad" and abs(planned.values[p.name]) < finest for p in sizes)
+
+
+def _coarsest_step(workspace: Workspace, k: int) -> float:
+    """[rad] of joint k's encoders whose rounding is not white noise; 0 where there is none."""
+    at = {"q": k, "theta": len(workspace.robot.joints) + k}
+    steps = workspace.readings.steps
+    return max((float(steps[c][k]) for c, i in at.items() if i in workspace.balances.colours), default=0.0)
 
 
 def shown(workspace: Workspace, planned: Planned) -> float:
