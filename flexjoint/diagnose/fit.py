@@ -96,8 +96,8 @@ def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) 
 
 def _bent(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
     """What the residual y of effects lacks of one that knows when friction holds a body whose load or spring
-    is off by what the nominal numbers' tolerances take on."""
-    if not any(e.effect.overrides("level") for e in effects):
+    is off by what the nominal numbers' tolerances take on. Implausible numbers tell nothing of that."""
+    if workspace.strain > 1.0 or not any(e.effect.overrides("level") for e in effects):
         return 0.0
     return relinearised(workspace, effects, y) - y
 
