@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ from flexjoint.robot import Robot
 OFFSET_SPREAD = 0.2  # rad, standard deviation of an encoder offset that is free in each recording
 TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
 OTHER_COMPONENT = 0.1  # a centre of mass is trusted in its small components to this share of its length
-STEP = 0.01  # prior deviations, of a derivative where friction holds: a whole one may break it loose
 STEP = 0.01  # prior deviations, of a derivative where friction holds: a whole one may break it loose
 REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
 
@@ -105,6 +104,7 @@ class Columns:
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.nuisance: list[Nuisance] = []
         self._recent: Recent[Band] = Recent()
+        self._directions: dict[int, np.ndarray] = {}  # (10,) of a link's parameters, by number
         self.samples = whitening.time.size * len(balances.rows)
         columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
         if self.robot.file.offsets == "per_recording":
@@ -149,6 +149,7 @@ class Columns:
                 continue
             for direction in inertial_directions(nominal, tolerance):
                 columns.append(self._column(self._load_rows(self.balances.inertial_torque(i, direction))))
+                self._directions[len(self.nuisance)] = direction
                 self.nuisance.append(Nuisance("inertial", joint.name, tolerance))
         return columns
 
@@ -236,17 +237,6 @@ class Columns:
             }
             if taken:
                 out[k] = self.matrix[k] + self._column(taken)
-        return out
-
-    @cached_property
-    def _directions(self) -> dict[int, np.ndarray]:
-        """(10,) changes of a link's inertial parameters by one deviation each, by number."""
-        out: dict[int, np.ndarray] = {}
-        at = [k for k, number in enumerate(self.nuisance) if number.name == "inertial"]
-        for joint in dict.fromkeys(self.nuisance[k].joint for k in at):
-            nominal = self.motion.rigid.inertial[self.robot.joint_names.index(str(joint))]
-            own = [k for k in at if self.nuisance[k].joint == joint]
-            out |= zip(own, inertial_directions(nominal, self.robot.tolerance.inertial), strict=True)
         return out
 
     def load_band(self, torque: np.ndarray) -> Band:
