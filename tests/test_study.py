@@ -188,6 +188,17 @@ def test_effects_that_came_later_have_a_part_of_their_own() -> None:
             assert len(read_robot(ROBOTS / f"{case.case.robot}.yaml").joints) > 1
 
 
+def test_any_robot_is_drawn_with_all_that_is_its_own() -> None:
+    cases = [make("drawn", n) for n in range(24)]
+    assert all((c.number % 4 == 0) == (not c.case.effects) for c in cases)
+    assert {c.case.robot.split("_")[1] for c in cases} == {str(n) for n in range(24)}
+    assert {c.case.inexact for c in cases} == {0.0, 0.02, 0.05}
+    assert len({c.case.sensors.resolution for c in cases}) > 4 and len({c.case.rate for c in cases}) > 3
+    for case in cases:
+        loaded = study_run._nominal(case)
+        assert case.case.inexact == pytest.approx(loaded.file.tolerance.stiffness, abs=2e-3)
+
+
 def test_the_page_shows_them_and_leaves_the_other_figures_alone() -> None:
     def planted(part: str, *found: dict[str, Any]) -> dict[str, Any]:
         told = {
@@ -201,10 +212,13 @@ def test_the_page_shows_them_and_leaves_the_other_figures_alone() -> None:
     named = planted("beyond", finding("quadratic_drag", parameters=parameters))
     missed = planted("beyond", OTHER)
     later = [{**r, "truth": [drag], "diagnosis": 7.0} for r in (named, missed)]
+    left = {**planted("drawn"), "verdict": "healthy", "truth": []}
+    later += [{**left, "number": n, "verdict": v} for n, v in enumerate(("healthy", "unexplained"))]
     before, after = markdown([planted("single", COULOMB)]), markdown([planted("single", COULOMB), *later])
 
     assert "| beyond causes with excess above 1.1: exact or tied | 1/2 = 50.0 %" in after
     assert "| quadratic_drag | 2 | 1 |" in after and "torque_gain 1 |" in after
+    assert "| healthy machines drawn at random alarmed | 1/2 = 50.0 %" in after
     # every line of the other parts stays, but the one that counts the cases
     assert {line for line in before.splitlines() if "Cases:" not in line} <= set(after.splitlines())
 

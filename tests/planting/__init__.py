@@ -6,7 +6,7 @@ stepping through dry friction.
 """
 
 from .catalogue import BEYOND, CATALOGUE, Planted
-from .robots import ROBOTS, read_robot
+from .robots import ROBOTS, read_robot, robot_file
 from .sensing import (
     ENCODERS,
     FROM_CURRENT,
@@ -39,4 +39,5 @@ __all__ = [
     "SensorSet",
     "plant",
     "read_robot",
+    "robot_file",
 ]

@@ -13,9 +13,10 @@ from pathlib import Path
 from zlib import crc32
 
 import numpy as np
+import yaml
 
 from .catalogue import CATALOGUE, Planted
-from .robots import ROBOTS
+from .robots import robot_file
 from .sensing import ENCODERS, FULL, LINK_SIDE, MOTOR_ONLY, NO_COMMAND, Ragged, SensorSet
 from .simulate import Recorded, plant
 from .sizes import MET_EFFECTS, nominal, rounded, usual_effect, usual_excitation
@@ -35,7 +36,7 @@ class Case:
     """One planted recording to be; `fresh` is a second trajectory of the same machine, half as long."""
 
     name: str
-    robot: str  # file name in ROBOTS, without suffix
+    robot: str  # of robots.robot_file
     excitation: str
     effects: tuple[Planted, ...]
     seed: int
@@ -62,7 +63,7 @@ class Case:
         )
 
     def _plant(self, seed: int, seconds: float, effects: tuple[Planted, ...]) -> Recorded:
-        path = ROBOTS / f"{self.robot}.yaml"
+        path = robot_file(self.robot)
         return plant(
             path,
             list(effects),
@@ -89,8 +90,9 @@ def write_case(case: Case, folder: Path) -> None:
     (folder / "robots").mkdir(exist_ok=True)
     case.train().write(folder / case.name / "train.parquet")
     case.fresh().write(folder / case.name / "fresh.parquet")
-    for source in (f"{case.robot}.yaml", f"{case.robot.removesuffix('_exact')}.urdf"):
-        shutil.copyfile(ROBOTS / source, folder / "robots" / source)
+    path = robot_file(case.robot)
+    for source in (path, path.parent / yaml.safe_load(path.read_text())["urdf"]):
+        shutil.copyfile(source, folder / "robots" / source.name)
     table = folder / "truth.json"
     truth = json.loads(table.read_text()) if table.exists() else {}
     truth[case.name] = case.truth()

@@ -9,10 +9,16 @@ import numpy as np
 import yaml
 
 from .chain import Array, Body, read_bodies
+from .drawn import drawn_robot
 
 ROBOTS = Path(__file__).parent / "robots"
 
 DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
+
+
+def robot_file(name: str) -> Path:
+    """YAML file of a robot of ROBOTS, or of one that is drawn."""
+    return drawn_robot(name) if name.startswith("drawn_") else ROBOTS / f"{name}.yaml"
 
 
 @dataclass(frozen=True)

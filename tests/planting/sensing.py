@@ -39,7 +39,8 @@ class SensorSet:
     """Which channels are recorded, and how well; a noise of None is drawn per robot."""
 
     channels: tuple[str, ...] = ALL_CHANNELS
-    noise: dict[str, float] | None = None  # standard deviation per measured channel, SI
+    noise: dict[str, float | tuple[float, ...]] | None = None
+    """Standard deviation per measured channel, SI; of all joints or of each."""
     resolution: float = 2 * np.pi / 2**18  # [rad] of q and theta; 0 for none
     noisy_feedback: bool = True  # False: the controller reads sensors without noise and quantisation
     ragged: Ragged | None = None
@@ -116,7 +117,7 @@ class Sensors:
         self.effects = sorted((p for p in effects if p.effect in order), key=lambda p: order.index(p.effect))
         level = robot_noise(robot.name) if sensors.noise is None else sensors.noise
         self.noise = {
-            c: level.get(c, 0.0) * rng.standard_normal((ticks, len(robot.joints)))
+            c: np.asarray(level.get(c, 0.0)) * rng.standard_normal((ticks, len(robot.joints)))
             for c in (*MEASURED, CURRENT)
         }
 

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from .catalogue import BEYOND, Planted
-from .robots import ROBOTS, Robot, read_robot
+from .robots import Robot, read_robot, robot_file
 
 SLOW_EFFECTS = (
     "stribeck_friction",
@@ -25,7 +25,7 @@ MET_EFFECTS = (*STEP_EFFECTS, "torque_speed_limit", "rough_spot")
 
 @cache
 def nominal(robot: str) -> Robot:
-    return read_robot(ROBOTS / f"{robot}.yaml")
+    return read_robot(robot_file(robot))
 
 
 def rounded(value: float) -> float:
@@ -105,6 +105,8 @@ def usual_effect(
         values["channel"] = str(channel)
     if effect == "base_tilt":  # only a tilt about horizontal directions across the joint axes can be seen
         hidden = {"lever": "roll", "crane": "pitch"}.get(robot.removesuffix("_exact"))
+        if robot.startswith("drawn_") and all(body.axis[1] for body in r.bodies):
+            hidden = "roll"
         values = {name: 0.0 if name == hidden else value for name, value in values.items()}
         return Planted(effect, None, values, since)
     return Planted(effect, joint, values, since)

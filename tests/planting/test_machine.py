@@ -13,19 +13,20 @@ from .by_hand import JOINT, LEVER, lever_gravity
 from .chain import body_load, inverse_dynamics, mass_matrix
 from .laws import Planted
 from .machine import Machine
-from .robots import ROBOTS, read_robot
+from .robots import ROBOTS, read_robot, robot_file
 from .sensing import PERFECT
 from .simulate import plant
 
-NAMES = ("lever", "turret", "crane", "gimbal", "scara", "reach")
+NAMES = ("lever", "turret", "crane", "gimbal", "scara", "reach", "drawn_1", "drawn_14_exact")
 CRANE, GIMBAL = ROBOTS / "crane.yaml", ROBOTS / "gimbal.yaml"
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_rigid_body_dynamics_match_pinocchio(name):
-    robot = read_robot(ROBOTS / f"{name}.yaml")
+    path = robot_file(name)
+    robot = read_robot(path)
     n, bodies = len(robot.joints), list(robot.bodies)
-    model = pin.buildModelFromUrdf(str(ROBOTS / f"{name}.urdf"))
+    model = pin.buildModelFromUrdf(str(path.with_suffix(".urdf")))
     assert tuple(model.names)[1:] == robot.joints
     data = model.createData()
     q, v, a = (ca.SX.sym(s, n) for s in "qva")
@@ -36,9 +37,23 @@ def test_rigid_body_dynamics_match_pinocchio(name):
         torque, matrix = f(*at)
         upper = np.triu(pin.crba(model, data, at[0]))
         np.testing.assert_allclose(
-            np.array(torque).ravel(), pin.rnea(model, data, *at), atol=1e-11
+            np.array(torque).ravel(), pin.rnea(model, data, *at), rtol=1e-12, atol=1e-11
         )  # rounding
-        np.testing.assert_allclose(np.triu(np.array(matrix)), upper, atol=1e-12)  # rounding
+        np.testing.assert_allclose(np.triu(np.array(matrix)), upper, rtol=1e-12, atol=1e-12)  # rounding
+
+
+def test_robots_are_drawn_from_their_number_alone():
+    first = robot_file("drawn_3")
+    texts = [path.read_bytes() for path in (first, first.with_suffix(".urdf"))]
+    for path in (first, first.with_suffix(".urdf")):
+        path.unlink()
+    again = robot_file("drawn_3")
+    assert [path.read_bytes() for path in (again, again.with_suffix(".urdf"))] == texts
+    exact, loose = read_robot(robot_file("drawn_3_exact")), read_robot(robot_file("drawn_3_loose"))
+    np.testing.assert_array_equal(exact.stiffness, loose.stiffness)  # they differ by what they claim
+    assert {len(read_robot(robot_file(f"drawn_{n}")).joints) for n in range(20)} == {1, 2, 3, 4}
+    with pytest.raises(ValueError, match="drawn_12_loose"):
+        robot_file("drawn_three")
 
 
 def test_fixed_and_locked_joints_keep_their_mass(tmp_path):

@@ -7,6 +7,8 @@
 - several: one cause in two recordings of one machine, with other motions and other unknown encoder offsets;
   in every other case the second was made with a known payload
 - beyond: as single, for the effects that came later; none of the other parts has them
+- drawn: a robot, its controller, sensors and rates drawn at random for each; every fourth is healthy, the
+  others have one cause, of any effect
 """
 
 from __future__ import annotations
@@ -25,14 +27,15 @@ from planting import (
     MOTOR_ONLY,
     NO_COMMAND,
     RAGGED,
-    ROBOTS,
     Planted,
     SensorSet,
     read_robot,
+    robot_file,
 )
 from planting.cases import INEXACT, Case, met_by
 from planting.catalogue import DRY_MOTOR
-from planting.sizes import MET_EFFECTS, STEP_EFFECTS, usual_effect, usual_excitation
+from planting.sensing import CURRENT
+from planting.sizes import MET_EFFECTS, STEP_EFFECTS, nominal, usual_effect, usual_excitation
 
 EFFECTS = tuple(CATALOGUE)
 EVERY = (*EFFECTS, *BEYOND)
@@ -45,6 +48,7 @@ COUNTS = {
     "struck": 4 * len(EFFECTS),
     "several": 40,
     "beyond": 12 * len(BEYOND),
+    "drawn": 160,
 }
 SMALLEST = 0.02  # of the usual size: most effects are then below the noise
 
@@ -57,6 +61,15 @@ SECONDS = (8.0, 12.0)
 LATE = 0.08  # share of single causes that set in during the recording
 SINGLE_STRUCK_SIZE = (0.25, 1.0)
 DOUBLE_SIZE = (0.2, 1.0)
+DRAWN_SIZE = (0.1, 1.0)
+DRAWN_HEALTHY = 4  # every so many
+DRAWN_KINDS = {"off": 0.5, "exact": 0.3, "loose": 0.2}  # of nominal models
+LOOSE = 0.05  # and off by as much as the loose ones say
+DRAWN_RATES = {1000.0: 0.2, 500.0: 0.3, 250.0: 0.2, 200.0: 0.15, 125.0: 0.15}
+DRAWN_SECONDS = (5.0, 16.0)
+POSITION_NOISE, VELOCITY_NOISE = (3e-6, 2e-4), (1e-3, 2e-2)  # rad, rad/s
+TORQUE_NOISE = (5e-4, 8e-3)  # of a joint's torque limit
+ENCODER_BITS = (14, 20)
 OFFSET = 0.02  # rad, of encoder offsets that nobody knows
 LOAD = 0.5  # of a link's mass: a known payload
 
@@ -152,6 +165,7 @@ def make(part: str, number: int) -> StudyCase:
         "struck": _struck,
         "several": _several,
         "beyond": _beyond,
+        "drawn": _any_robot,
     }
     if part not in makers:
         raise ValueError(f"unknown part {part!r}; there are {', '.join(makers)}")
@@ -170,7 +184,7 @@ def _single(number: int, rng: np.random.Generator, part: str = "single") -> Stud
     else:
         size, sensors, late = float(rng.uniform(*SINGLE_STRUCK_SIZE)), "full", False
     robot = _drawn(ROBOT_SHARES, rng, lambda name: _sits_on(effect, name))
-    joints = read_robot(ROBOTS / f"{robot}.yaml").joints
+    joints = read_robot(robot_file(robot)).joints
     joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))
     usual = rng.random() < USUAL_EXCITATION
     excitation = usual_excitation(effect) if usual else str(rng.choice(EXCITATIONS))
@@ -194,8 +208,8 @@ def _struck(number: int, rng: np.random.Generator) -> StudyCase:
 
 def _double(number: int, rng: np.random.Generator) -> StudyCase:
     robot = _drawn(ROBOT_SHARES, rng)
-    joints = read_robot(ROBOTS / f"{robot}.yaml").joints
-    size = float(np.exp(rng.uniform(*np.log(DOUBLE_SIZE))))
+    joints = read_robot(robot_file(robot)).joints
+    size = _in_logarithm(rng, DOUBLE_SIZE)
     sensors = _drawn({k: SENSOR_SHARES[k] for k in ("full", "no torque sensor", "ragged time")}, rng)
     pool = [
         e
@@ -221,11 +235,11 @@ def _double(number: int, rng: np.random.Generator) -> StudyCase:
 def _several(number: int, rng: np.random.Generator) -> StudyCase:
     loaded = number % 2 == 1
     robot = _drawn({k: v for k, v in ROBOT_SHARES.items() if k not in ("turret", "reach")}, rng)
-    joints = read_robot(ROBOTS / f"{robot}.yaml").joints
+    joints = read_robot(robot_file(robot)).joints
     pool = [e for e in EFFECTS if e not in STEP_EFFECTS and e in SHOWN["unknown offsets"]]
     effect = str(rng.choice([e for e in pool if not (loaded and e == "payload")]))
     joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))
-    size = float(np.exp(rng.uniform(*np.log(DOUBLE_SIZE))))
+    size = _in_logarithm(rng, DOUBLE_SIZE)
     first, other = (str(e) for e in rng.choice(EXCITATIONS, 2, replace=False))
     planted = (usual_effect(effect, robot, joint, rng, size),)
     sensors = "unknown offsets"
@@ -241,8 +255,7 @@ def _several(number: int, rng: np.random.Generator) -> StudyCase:
 
 def _load(robot: str, joint: str) -> Planted:
     """A payload below the centre of a link."""
-    nominal = read_robot(ROBOTS / f"{robot}.yaml")
-    body = nominal.bodies[nominal.index(joint)]
+    body = nominal(robot).bodies[nominal(robot).index(joint)]
     place = [round(1.3 * float(c), 4) for c in body.com]
     return Planted("payload", joint, {"mass": round(LOAD * float(body.mass), 3), "position": place})
 
@@ -252,6 +265,54 @@ def _healthy(number: int, rng: np.random.Generator) -> StudyCase:
     sensors = _drawn(SENSOR_SHARES, rng)
     case = _case("healthy", number, robot, EXCITATIONS[number % 3], sensors, rng)
     return _with("healthy", number, case, (), sensors, 0.0, rng)
+
+
+def _any_robot(number: int, rng: np.random.Generator) -> StudyCase:
+    kind = _drawn(DRAWN_KINDS, rng)
+    robot = f"drawn_{number}" + {"off": "", "exact": "_exact", "loose": "_loose"}[kind]
+    joints = read_robot(robot_file(robot)).joints
+    known = {name: share for name, share in SENSOR_SHARES.items() if name != "unknown offsets"}
+    sensors = _drawn(known, rng)
+    case = Case(
+        f"drawn-{number:04d}",
+        robot,
+        str(rng.choice(EXCITATIONS)),
+        (),
+        int(rng.integers(1, 2**30)),
+        _any_sensors(SENSORS[sensors], nominal(robot).torque_limit, rng),
+        {"off": INEXACT, "exact": 0.0, "loose": LOOSE}[kind],
+        round(_in_logarithm(rng, DRAWN_SECONDS), 1),
+        float(rng.choice(list(DRAWN_RATES), p=list(DRAWN_RATES.values()))),
+    )
+    if number % DRAWN_HEALTHY == 0:
+        return StudyCase("drawn", number, case, sensors, 0.0)
+    shown = [e for e in EVERY if e in SHOWN.get(sensors, EVERY) and _sits_on(e, robot)]
+    effect, size = str(rng.choice(shown)), _in_logarithm(rng, DRAWN_SIZE)
+    joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))
+    if rng.random() < USUAL_EXCITATION:
+        case = replace(case, excitation=usual_excitation(effect))
+    if effect in MET_EFFECTS:
+        planted = met_by(case, effect, joint, size, None, rng)
+    else:
+        planted = usual_effect(effect, robot, joint, rng, size)
+    return StudyCase("drawn", number, replace(case, effects=(planted,)), sensors, round(size, 4))
+
+
+def _any_sensors(sensors: SensorSet, limit: np.ndarray, rng: np.random.Generator) -> SensorSet:
+    """The set with noise and encoders of any quality; `limit` (n,) of the joints' torques."""
+    position, velocity = _in_logarithm(rng, POSITION_NOISE), _in_logarithm(rng, VELOCITY_NOISE)
+    torque = tuple(_in_logarithm(rng, TORQUE_NOISE) * limit)
+    noise: dict[str, float | tuple[float, ...]] = {
+        channel: level * float(rng.uniform(0.5, 1.5))
+        for channel, level in {"q": position, "theta": position, "dq": velocity, "dtheta": velocity}.items()
+    }
+    bits = int(rng.integers(ENCODER_BITS[0], ENCODER_BITS[1] + 1))
+    return replace(sensors, noise=noise | {"tau_t": torque, CURRENT: torque}, resolution=2 * np.pi / 2**bits)
+
+
+def _in_logarithm(rng: np.random.Generator, between: tuple[float, float]) -> float:
+    """Evenly in the logarithm."""
+    return float(np.exp(rng.uniform(*np.log(between))))
 
 
 def _case(
@@ -288,7 +349,7 @@ def _with(
     if sensors == "unknown offsets":
         hidden = tuple(
             Planted(effect, joint, {"offset": round(float(rng.uniform(-OFFSET, OFFSET)), 5)})
-            for joint in read_robot(ROBOTS / f"{case.robot}.yaml").joints
+            for joint in read_robot(robot_file(case.robot)).joints
             for effect in ("link_encoder_offset", "motor_encoder_offset")
         )
     return StudyCase(part, number, replace(case, effects=planted), sensors, round(size, 4), (), hidden)
@@ -297,7 +358,7 @@ def _with(
 def _sits_on(effect: str, robot: str) -> bool:
     """A payload on a vertical axis shows its inertia only, not its mass; a coupling takes two joints."""
     if effect == "joint_coupling":
-        return len(read_robot(ROBOTS / f"{robot}.yaml").joints) > 1
+        return len(read_robot(robot_file(robot)).joints) > 1
     return not (effect == "payload" and robot == "turret")
 
 

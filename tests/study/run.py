@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from diagnose_cases import as_recording
-from planting import ROBOTS, Planted
+from planting import Planted, robot_file
 
 import flexjoint
 from flexjoint import robot
@@ -138,7 +138,7 @@ def _known(load: Planted) -> KnownPayload:
 
 
 def _nominal(case: StudyCase) -> Robot:
-    loaded = robot.load(ROBOTS / f"{case.case.robot}.yaml")
+    loaded = robot.load(robot_file(case.case.robot))
     if not case.hidden:
         return loaded
     return replace(loaded, file=loaded.file.model_copy(update={"offsets": "per_recording"}))
