@@ -133,7 +133,7 @@ class Chains:
         rubbing, held_link = self._link_friction(i, at, signals, own + link_hat, calm)
         link_hat, held_motor = link_hat + rubbing, NOWHERE
         if base.driven:
-            net_hat = motor_hat - self._load(i, spring_hat, link_hat, at[Site.BODY])
+            net_hat = motor_hat - self._load(i, at[Site.BODY], spring_hat, link_hat, readings.reading)
             rubbing, held_motor = self._motor_friction(i, at, signals, drive, net_hat, calm)
             motor_hat = motor_hat + rubbing
         change = q_hat - base.q_hat if q is not base.q else None
@@ -143,13 +143,18 @@ class Chains:
         return Chain(motor_hat, spring_hat, link_hat, readings.reading, change, held_motor, held_link)
 
     def _load(
-        self, i: int, spring_hat: np.ndarray, link_hat: np.ndarray | float, bodies: Sequence[Planned]
+        self,
+        i: int,
+        bodies: Sequence[Planned],
+        spring_hat: np.ndarray,
+        link_hat: np.ndarray | float,
+        reading: np.ndarray,
     ) -> np.ndarray:
-        """Spectrum of what a motor pulls at. With unknown encoder offsets the spring's torque is known up to
-        a constant only: the link's dynamics say it."""
+        """Spectrum of what a motor pulls at: the spring's torque, by what tells it best. With unknown encoder
+        offsets that is known up to a constant only: the link's dynamics say it."""
         if self.motion.robot.joints[i].rigid or self._floats(i):
             return self.filter.spectrum(self.loads.carried(i, bodies)) - link_hat
-        return spring_hat
+        return self.base(i).told(spring_hat, reading)
 
     def _floats(self, i: int) -> bool:
         """Whether the torque of joint i's spring is known up to a constant only: with unknown encoder offsets
@@ -285,15 +290,11 @@ class Chains:
         spring_hat: np.ndarray,
         reading: np.ndarray,
     ) -> np.ndarray:
-        """Spectrum of what pulls at a link from its motor's side. What a friction of the link holds against
-        is the spring's torque as all that was measured tells it, each frequency by what tells it best."""
+        """Spectrum of what pulls at a link from its motor's side."""
         if self.motion.robot.joints[i].rigid:
             return motor_hat
-        shares = self.base(i).precisions
-        if any(e.effect.overrides("level") for e in at[Site.MOTOR]) or not np.any(shares):
-            return spring_hat
-        ways = np.array([spring_hat, motor_hat, reading])
-        return np.asarray(np.sum(shares * ways, axis=0) / np.sum(shares, axis=0))
+        rubs = any(e.effect.overrides("level") for e in at[Site.MOTOR])
+        return self.base(i).told(spring_hat, reading, None if rubs else motor_hat)
 
     def _motor_friction(
         self,
@@ -310,7 +311,8 @@ class Chains:
         rigid = self.motion.robot.joints[i].rigid
         inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
         if self.calm is not None and calm is not None:
-            calm_hat = calm.motor - self.calm._load(i, calm.spring_torque, calm.link, at[Site.BODY])
+            load = self.calm._load(i, at[Site.BODY], calm.spring_torque, calm.link, calm.reading)
+            calm_hat = calm.motor - load
             net, calm_net = self._times(net_hat, calm_hat)
         else:
             net = calm_net = self._time(net_hat)

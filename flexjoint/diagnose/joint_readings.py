@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import fft
 
+from flexjoint.diagnose.dry_friction import CALM_SIGMAS
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.signals import wiener
 from flexjoint.effect import Signals
@@ -71,6 +72,25 @@ class JointReadings:
         least = (ROUNDING * float(np.std(self.spring))) ** 2 + 1e-300
         told = np.array([self._complete, self.driven and self._complete, np.isfinite(self.tau_t[0])])
         return np.where(told[:, None], 1.0 / np.maximum([encoders, motor, sensor], least), 0.0)
+
+    def told(
+        self, spring_hat: np.ndarray, reading: np.ndarray, motor_hat: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Spectrum of the spring's torque, which a friction holds against, as its deflection, its sensor and
+        (where it is not None) its motor tell it: each frequency by what tells it best, but the fast ones by
+        the deflection, which rounds a stop as the accelerations do that its torque is weighed against."""
+        shares, ways = self.precisions, [spring_hat, motor_hat, reading]
+        if motor_hat is None:
+            shares, ways = shares[[0, 2]], [spring_hat, reading]
+        if not np.any(shares[1:]):
+            return spring_hat
+        best = np.sum(shares * np.array(ways), axis=0) / np.sum(shares, axis=0)
+        return np.asarray(spring_hat + self._slow * (best - spring_hat))
+
+    @cached_property
+    def _slow(self) -> np.ndarray:
+        """(F,) gain of what is slower than a denoised acceleration rings."""
+        return np.exp(-0.5 * (CALM_SIGMAS * self._readings.sigma * self._window.omega) ** 2)
 
     @cached_property
     def shaft_hat(self) -> np.ndarray:

@@ -203,10 +203,12 @@ class Shooting:
             for begin in range(0, len(rows), side):
                 part = rows[begin : begin + side]
                 inputs, directions = self._inputs(part, numbers, deviations, starts[part], steps)
-                run = derivatives.run(inputs, numbers, directions, rate)
-                for place, k in enumerate(part):
-                    prior = (starts[k] - self.starts[k]) / self.spread
-                    out[k] = self._reduced(k, run.readings[place], run.by[place], numbers, prior, rate)
+                # a window that swings up leaves the finite numbers, for which an estimate is refused
+                with np.errstate(over="ignore", invalid="ignore"):
+                    run = derivatives.run(inputs, numbers, directions, rate)
+                    for place, k in enumerate(part):
+                        prior = (starts[k] - self.starts[k]) / self.spread
+                        out[k] = self._reduced(k, run.readings[place], run.by[place], numbers, prior, rate)
         return [reduced for reduced in out if reduced is not None]
 
     def _inputs(
