@@ -336,24 +336,25 @@ class Chains:
         noise: float,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Spectrum of the effects' dry friction, and where it holds (dry_friction.py)."""
-        level = self._level(effects, signals, speed, REST_SPEED)
-        rest = self.friction.rest_speed(level, inertia, noise)
+        levels = self._levels(effects, signals, speed, REST_SPEED)
+        rest = self.friction.rest_speed(levels, inertia, noise)
         if rest < REST_SPEED:
-            level = self._level(effects, signals, speed, rest)
-        return self.friction.spectrum(level, speed, net, calm_net, inertia, rest)
+            levels = self._levels(effects, signals, speed, rest)
+        return self.friction.spectrum(levels, speed, net, calm_net, inertia, rest)
 
-    def _level(
+    def _levels(
         self, effects: Sequence[Planned], signals: Signals, speed: np.ndarray, rest: float
     ) -> np.ndarray:
-        """(N,) level of the effects' dry friction. What it does below the speed that the data resolve is not
-        known: it is held there."""
-        level = np.zeros_like(speed)
-        resolved = np.where(speed < 0.0, -1.0, 1.0) * np.maximum(np.abs(speed), rest)
-        moved, signals = signals, replace(signals, dtheta=resolved, dq=resolved)
+        """(2, N) levels of the effects' dry friction backward and forward, as of a body at rest noise tells
+        where it goes. What they do below the speed that the data resolve is not known: held there."""
+        resolved = np.maximum(np.abs(speed), rest)
+        ways = [replace(signals, dtheta=v, dq=v) for v in (-resolved, resolved)]
+        levels = np.zeros((2, speed.size))
         for e in effects:
-            value = e.effect.level(signals, e.p, self._state(e, moved)) * np.ones_like(speed)
-            level = level + self._since(e, value, np.zeros_like(value))
-        return level
+            state = self._state(e, signals)
+            values = np.array([e.effect.level(going, e.p, state) * np.ones_like(speed) for going in ways])
+            levels = levels + self._since(e, values, np.zeros_like(values))
+        return levels
 
     # ------------------------------------------------------------------ helpers
     def _state(self, e: Planned, signals: Signals) -> np.ndarray | float:

@@ -1,8 +1,8 @@
 """Dry friction on data: a set-valued law, where a body's speed and what pulls at it are measured.
 
 In motion it is level sgn(speed). At rest it is what holds the body, which the balance itself tells, within
-+-level; that is told without the sensors' noise, as a friction holds a body and no noise, but for where the
-body stops and breaks loose.
+the levels of both directions; that is told without the sensors' noise, as a friction holds a body and no
+noise, but for where the body stops and breaks loose.
 """
 
 from __future__ import annotations
@@ -36,45 +36,45 @@ class DryFriction:
         lost, nothing = 1.0 - window.gain, np.zeros_like(jomega)
         self._lost = np.array([lost, np.divide(lost, jomega, out=nothing, where=window.omega > 0)])
 
-    def rest_speed(self, level: np.ndarray, inertia: float, noise: float) -> float:
+    def rest_speed(self, levels: np.ndarray, inertia: float, noise: float) -> float:
         """[rad/s] below which a filtered speed's sign does not tell where a body goes, from the friction's
-        level (N,), the body's inertia and the noise of its position; in half octaves, so that a fit of the
+        levels, the body's inertia and the noise of its position; in half octaves, so that a fit of the
         level does not move it."""
-        rings = RESTING * self._sigma * float(np.max(level)) / inertia
+        rings = RESTING * self._sigma * float(np.max(levels)) / inertia
         least = max(self.least_rest, rings, SPEED_SIGMAS * noise * self._speed_noise, 1e-6)
         return REST_SPEED * 2.0 ** min(0.0, 0.5 * np.ceil(2.0 * np.log2(least / REST_SPEED)))
 
     def spectrum(
         self,
-        level: np.ndarray,
+        levels: np.ndarray,
         speed: np.ndarray,
         net: np.ndarray,
         calm_net: np.ndarray,
         inertia: float,
         rest: float,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(F,) spectrum of the filtered friction torque, from series (N,): its level, the body's filtered
-        speed, and what else pulls at it, as measured and without noise; below the `rest` speed it stands.
-        And where it holds, whatever pulls (N,) bool.
+        """(F,) spectrum of the filtered friction torque, from its levels (2, N) backward and forward, and
+        series (N,): the body's filtered speed, and what else pulls at it, as measured and without noise;
+        below the `rest` speed it stands. And where it holds, whatever pulls (N,) bool.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
         """
         window = self._window
-        if float(np.std(net - calm_net)) > NOISY * float(np.max(level)):
+        if float(np.std(net - calm_net)) > NOISY * float(np.max(levels)):
             net = calm_net
-        most = self.held * level
-        least = -most
+        backward, forward = levels
+        least, most = -self.held * backward, self.held * forward
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
         reach = 2 * int(np.ceil(CALM_SIGMAS * self._sigma / window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
             moving = np.abs(sharp_speed) > rest
             near = maximum_filter1d(moving, reach)
             held = np.clip(np.where(near, sharp_net, calm_net + lost), least, most)
-            friction = np.where(moving, level * np.sign(sharp_speed), held)
+            friction = np.where(moving, np.where(sharp_speed < 0.0, -backward, forward), held)
             spectrum = window.spectrum(friction)
             if further:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 sharp_net = net + lost
                 sharp_speed = speed - integral / inertia
-        return -spectrum * window.gain, ~moving & (np.abs(held) < most)
+        return -spectrum * window.gain, ~moving & (least < held) & (held < most)
