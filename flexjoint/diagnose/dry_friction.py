@@ -68,7 +68,9 @@ class DryFriction:
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
         reach = 2 * int(np.ceil(CALM_SIGMAS * self._sigma / window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
-            moving = np.abs(sharp_speed) > rest
+            # only where the filtered speed says so, too: where a body stands between two ways for longer than
+            # the filter, giving back what is lost would swing up
+            moving = (np.abs(sharp_speed) > rest) & (np.sign(sharp_speed) * speed > rest)
             near = maximum_filter1d(moving, reach)
             held = np.clip(np.where(near, sharp_net, calm_net + lost), least, most)
             friction = np.where(moving, np.where(sharp_speed < 0.0, -backward, forward), held)
