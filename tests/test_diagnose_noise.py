@@ -168,6 +168,19 @@ def test_a_motor_that_friction_holds_is_held_against_what_its_torque_sensor_says
     )
 
 
+@pytest.mark.parametrize(
+    ("part", "number", "most"), [("single", 98, 3.0), ("drawn", 6, 1.5), ("double", 7, 3.0)]
+)
+def test_a_friction_that_holds_between_two_ways_leaves_the_noise(part: str, number: int, most: float) -> None:
+    """At rest noise tells a speed's sign, by which a friction with two levels held by the wrong one; and
+    between two ways a motor moved that stood, by what gave back its filter. They left 17, 18 and 108."""
+    case = make(part, number).case
+    workspace = Workspace(balances_of(load(robot_file(case.robot)), as_recording(case.train())))
+    true = [planned(c.effect, c.joint, c.parameters, since=c.since) for c in case.effects]
+
+    assert fit(workspace, true).energy < most * workspace.noise_energy  # 1.8, 1.0 and 1.8
+
+
 @pytest.mark.parametrize(("name", "joint", "level"), [("lever", "swing", 1.0), ("crane", "elbow", 0.5)])
 @pytest.mark.parametrize("excitation", ["steps", "slow"])
 def test_a_link_that_friction_holds_is_held_against_the_load_that_there_is(

@@ -29,10 +29,12 @@ NAMED = (
     ("double", 0),
     ("double", 1),  # a gap that a cable keeps closed: an offset, and the gap is told of
     ("double", 31),  # a gain beside an offset that explains ten thousand times as much
+    ("double", 56),  # a friction with two levels, at rest between two ways
     ("double", 62),  # an offset that a preload explains as well but for single moments
     ("double", 89),  # a gap that by itself is wide enough for the offset beside it
     ("several", 6),
     ("several", 17),  # a delay of all sensors of one joint, which is one of its torque in any recording
+    ("several", 27),  # two levels of a friction, not one and a constant torque
     ("several", 15),  # a friction at rest whose springs are known up to unknown offsets
     ("beyond", 12),  # Dahl's friction from some time on, whose state begins then
     ("beyond", 36),  # a torque sensor's noise, moved in time by chance to where it costs least
