@@ -348,8 +348,8 @@ def test_the_methods_error_of_a_cause_is_in_the_balances_that_it_marks() -> None
 
 
 def test_where_hardly_anything_counts_a_wrong_number_is_not_the_end() -> None:
-    """At the level that the nominal model leaves, a wrist's friction of 0.6 N m settles at 0.53, with ten
-    times the variance."""
+    """At the level that the nominal model leaves, a wrist's friction of 0.60 N m settles at 0.57, though that
+    leaves more."""
     machine = make("single", 253).case
     recording, (truth,) = as_recording(machine.train()), machine.effects
     workspace = Workspace(balances_of(nominal(machine.robot), recording))
@@ -358,9 +358,9 @@ def test_where_hardly_anything_counts_a_wrong_number_is_not_the_end() -> None:
     assert bare is not None
     assumed = plan(truth.effect, truth.joint, {"level": 0.5})
     above = fit(nothing.workspace, [assumed])
-    assert abs(above.effects[0].values["level"] / truth.value("level") - 1.0) > 0.05
+    assert abs(above.effects[0].values["level"] / truth.value("level") - 1.0) > 0.04
     clearer = trials._clearer((nothing, bare, above))
-    assert clearer.effects[0].values["level"] == pytest.approx(truth.value("level"), rel=0.02)
+    assert clearer.effects[0].values["level"] == pytest.approx(truth.value("level"), rel=0.005)
 
 
 @pytest.mark.parametrize(("resolution", "seen"), [(2.0 * np.pi / 2**18, True), (2.0 * np.pi / 2**14, False)])
