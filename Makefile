@@ -12,7 +12,7 @@ export OMP_NUM_THREADS ?= 1
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
 	@echo "make test   style, types and all tests"
-	@echo "make study  some 1800 planted recordings diagnosed and counted: an hour or two; stop it and it goes on"
+	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style and types only"
 	@echo "make docs   regenerate docs/effects.md"
 	@echo "make pictures   draw the pictures of effect_of_stiffness and centauro (notebooks) anew; needs Chromium"

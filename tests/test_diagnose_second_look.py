@@ -7,13 +7,15 @@ from functools import cache
 import numpy as np
 import pytest
 from diagnose_cases import Case, as_recording, nominal
+from planting import Planted
 
 from flexjoint import recording
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.fit import Fit, fit
-from flexjoint.diagnose.second_look import JointwiseWorkspace, SecondLook, look_again
+from flexjoint.diagnose.second_look import JointwiseWorkspace, SecondLook, _on_all_joints, look_again
 from flexjoint.diagnose.selection import Selection
+from flexjoint.diagnose.trials import on_all_joints
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import at_own_level
 from flexjoint.effect import Planned, plan
@@ -38,9 +40,13 @@ def seen(
     return look_again(robot, measured, workspace, first_look(workspace, causes), tried, lambda _s, _w: None)
 
 
+def recorded_on_kr300(name: str) -> Recording:
+    return recording.read(robots_folder() / "kr300" / "recordings" / f"{name}.parquet")
+
+
 @cache
 def on_kr300(name: str) -> SecondLook | None:
-    measured = recording.read(robots_folder() / "kr300" / "recordings" / f"{name}.parquet")
+    measured = recorded_on_kr300(name)
     late = [plan("sensor_delay", f"joint_{i}", {"delay": LATE, "channel": "q"}) for i in (1, 2, 3)]
     return seen(load("kr300"), measured, late, ("joint_2", "joint_3", "joint_6"))
 
@@ -82,3 +88,34 @@ def test_an_implausible_number_raises_the_level_of_its_own_joint_only() -> None:
     motor = own & np.array([r.balance == "motor" for r in workspace.balances.rows])
     assert judged.temper[motor].min() > 100.0 * judged.temper[~own].max()
     assert judged.strain > 1.0
+
+
+def test_what_two_joints_are_late_by_may_be_common_to_all() -> None:
+    """On recording B the delay of joint 1 does not show until the frictions of joints 2 and 3 are named."""
+    workspace = Workspace(balances_of(load("kr300"), recorded_on_kr300("rec_B")))
+    late = [plan("sensor_delay", f"joint_{i}", {"delay": LATE, "channel": "q"}) for i in (2, 3)]
+    frictions = [
+        plan("breakaway_friction", "joint_2", {"level": 1050.0, "distance": 0.006}),
+        plan("motor_coulomb_friction", "joint_2", {"level": 470.0}),
+        plan("breakaway_friction", "joint_3", {"level": 1340.0, "distance": 0.007}),
+    ]
+    candidates = enumerate_candidates(workspace)
+    named = at_own_level(fit(workspace, [*late, *frictions]))
+    assert on_all_joints(fit(workspace, late[:1]), candidates) == []
+    *before, added = _on_all_joints(named, candidates).effects
+
+    assert [e.key for e in before] == [e.key for e in named.effects]
+    assert added.key == ("sensor_delay", "joint_1")
+    assert added.values["delay"] == pytest.approx(LATE, abs=2e-4)
+
+
+def test_a_joint_that_is_not_late_stays_so() -> None:
+    late = [Planted("sensor_delay", joint, {"delay": 0.003, "channel": "q"}) for joint in ("pan", "tilt")]
+    recorded = Case("gimbal", "rich", 5).with_causes(*late)
+    workspace = Workspace(balances_of(nominal("gimbal"), as_recording(recorded)))
+    named = fit(workspace, [plan(e.effect, e.joint, e.parameters) for e in late])
+    candidates = enumerate_candidates(workspace)
+    (wider,) = on_all_joints(named, candidates)
+
+    assert [e.key for e in wider.effects[2:]] == [("sensor_delay", "twist")]
+    assert _on_all_joints(named, candidates) is named

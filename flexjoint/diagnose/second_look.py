@@ -30,6 +30,7 @@ from flexjoint.diagnose.motion import reconstruct
 from flexjoint.diagnose.scan import Scanner
 from flexjoint.diagnose.selection import Selection
 from flexjoint.diagnose.signals import denoised
+from flexjoint.diagnose.trials import on_all_joints
 from flexjoint.diagnose.workspace import PLAUSIBLE, Workspace
 from flexjoint.diagnose.worth import at_own_level, degenerate, worthwhile
 from flexjoint.effect import Planned, Site
@@ -133,6 +134,7 @@ def look_again(
             rivals[best.effects[-1].key] = ()
     if not rivals:
         return None
+    best = _on_all_joints(best, candidates)
     found_first = dict(zip((e.key for e in selection.best.effects), selection.rivals, strict=False))
     together = tuple(rivals.get(e.key, found_first.get(e.key, ())) for e in best.effects)
     nothing = at_own_level(fit(here, []))
@@ -217,6 +219,18 @@ def _still_earning(best: Fit) -> Fit:
         without = fit(best.workspace, [e for e in best.effects if e is not planned])
         if len(best.effects) > 1 and not worthwhile(best, without, planned):
             return _still_earning(at_own_level(without))
+    return best
+
+
+def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
+    """The set with what several joints are late by on all of them, where that earns its place now that the
+    other causes are in."""
+    for wider in on_all_joints(best, candidates):
+        settled = at_own_level(wider)
+        added = settled.effects[len(best.effects) :]
+        without = [fit(settled.workspace, [e for e in settled.effects if e is not one]) for one in added]
+        if all(worthwhile(settled, less, one) for less, one in zip(without, added, strict=True)):
+            return _on_all_joints(settled, candidates)
     return best
 
 

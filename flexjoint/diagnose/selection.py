@@ -12,7 +12,14 @@ from flexjoint.diagnose.candidates import Candidate
 from flexjoint.diagnose.crew import Crew, crew
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.scan import Scanner, Scored
-from flexjoint.diagnose.trials import at_noise, beside_rivals, date_onset, larger_sets, polish
+from flexjoint.diagnose.trials import (
+    at_noise,
+    beside_rivals,
+    date_onset,
+    larger_sets,
+    on_all_joints,
+    polish,
+)
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import (
     LEFTOVER,
@@ -118,6 +125,7 @@ def _grown(
         both = search.scanner.scans([best] if bare is None else [best, bare], search.crew)
         scans.append(both[0])
         found = larger_sets(best, both, bare, search.crew)
+        found = found or on_all_joints(best, search.scanner.candidates)
         if not found:
             break
         best = prune(at_own_level(choose(found)))

@@ -26,7 +26,7 @@ from flexjoint.diagnose.worth import (
     torque_shares,
     worthwhile,
 )
-from flexjoint.effect import Planned
+from flexjoint.effect import Kind, Planned
 
 POLISHED = 8  # candidates fitted in full at each stage, at most ...
 PROMISING = 0.3  # ... with this share of the best one's first-order gain
@@ -131,6 +131,31 @@ def _cleared(best: Fit, levels: np.ndarray, marked: np.ndarray) -> float:
     left = best.workspace.temper / best.workspace.strain
     wrong = (left > CLEARED) & marked
     return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
+
+
+def on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> list[Fit]:
+    """Sets with a timing cause that several joints have on all others that could have it: what is late at two
+    joints is more likely common to all. Where a joint tells it less well it need not show beside none."""
+    groups: dict[tuple[str, tuple[object, ...]], list[Planned]] = {}
+    for e in best.effects:
+        if e.effect.kind is Kind.TIMING and e.joint is not None and e.since is None:
+            groups.setdefault((e.effect.name, _words(e)), []).append(e)
+    found = []
+    for (name, words), group in groups.items():
+        if len(group) < 2:
+            continue
+        size = group[0].effect.nulls[0].name
+        mean = {size: float(np.mean([e.values[size] for e in group]))}
+        taken = {e.joint for e in best.effects if e.effect.name == name}
+        kin = [c for c in candidates if c.effect.name == name and tuple(w for _, w in c.words) == words]
+        others = [c.planned(mean) for c in kin if c.joint not in taken]
+        if others:
+            found.append(fit(best.workspace, [*best.effects, *others]))
+    return found
+
+
+def _words(planned: Planned) -> tuple[object, ...]:
+    return tuple(planned.values.get(w.name) for w in planned.effect.words)
 
 
 def beside_rivals(
