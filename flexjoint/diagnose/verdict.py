@@ -105,14 +105,16 @@ def given_way(selection: Selection, k: int, rival: Fit, settled: Fit) -> Selecti
 
 
 def without(selection: Selection, effect: Planned) -> Selection:
-    """The selection with one of its causes taken out, the others fitted again."""
+    """The selection with one of its causes taken out, the others and their rivals fitted again."""
     best = selection.best
     keep = [k for k, e in enumerate(best.effects) if e.key != effect.key]
-    return replace(
-        selection,
-        best=at_own_level(fit(best.workspace, [best.effects[k] for k in keep])),
-        rivals=tuple(selection.rivals[k] for k in keep),
-    )
+    left = at_own_level(fit(best.workspace, [best.effects[k] for k in keep]))
+
+    def again(rivals: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        sets = [[e for e in rival.effects if e.key != effect.key] for rival in rivals]
+        return tuple(sorted((fit(left.workspace, effects) for effects in sets), key=score))
+
+    return replace(selection, best=left, rivals=tuple(again(selection.rivals[k]) for k in keep))
 
 
 def _without(best: Fit, effect: Planned) -> Fit:
