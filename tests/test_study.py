@@ -30,8 +30,8 @@ NAMED = (
     ("double", 1),  # a gap that a cable keeps closed: an offset, and the gap is told of
     ("double", 31),  # a gain beside an offset that explains ten thousand times as much
     ("double", 56),  # a friction with two levels, at rest between two ways
-    ("double", 62),
-    ("double", 107),  # whose plainer law stood beside a false cause that was dropped  # an offset that a preload explains as well but for single moments
+    ("double", 62),  # an offset that a preload explains as well but for single moments
+    ("double", 107),  # a law that gives way to a plainer one, beside which a cause was dropped
     ("double", 89),  # a gap that by itself is wide enough for the offset beside it
     ("several", 6),
     ("several", 17),  # a delay of all sensors of one joint, which is one of its torque in any recording
