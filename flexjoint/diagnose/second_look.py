@@ -183,7 +183,7 @@ class _Look:
         found: list[tuple[float, Fit, np.ndarray]] = []
         for scored in scanned[:TRIED]:
             trial = at_own_level(fit(best.workspace, [*best.effects, scored.planned()]))
-            if degenerate(trial.workspace, trial.effects[-1]) or _unlimited(trial.effects[-1]):
+            if degenerate(trial.workspace, trial.effects[-1]):
                 continue
             if self.cleared(best, trial, k) < HALVED:
                 continue
@@ -232,15 +232,6 @@ def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
         if all(worthwhile(settled, less, one) for less, one in zip(without, added, strict=True)):
             return _on_all_joints(settled, candidates)
     return best
-
-
-def _unlimited(planned: Planned) -> bool:
-    """Whether a size lies at its upper bound: the data do not limit it."""
-    return any(
-        bool(np.isclose(planned.values[p.name], p.high, rtol=0.1, atol=0.0))
-        for p in planned.effect.nulls
-        if p.size == 1
-    )
 
 
 def _workspace(robot: Robot, recording: Recording, first: Workspace, best: Fit) -> Workspace:

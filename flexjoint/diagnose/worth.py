@@ -40,7 +40,7 @@ CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fit
 CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
 CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
 LUCKY = 4.0  # sizes of the noise that it moves, which a shift or a lag must earn: chance gives 2, and chooses
-AT_BOUND = 0.1  # relative distance from a shape's bound (all lie far outside of what machines do)
+AT_BOUND = 0.1  # relative distance from a shape's bound, or a size's upper one (far outside of what machines do)
 BOUNDLESS = 30.0  # times a joint's RMS torque, or what a law shows, beyond which its own torque is none of it
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
 LEVEL_ROUNDS = 5
@@ -81,11 +81,13 @@ def at_own_level(result: Fit) -> Fit:
 
 
 def degenerate(workspace: Workspace, planned: Planned) -> bool:
-    """Whether a law has shrunk to none, or to a simpler one (a shape at its bound, or unseen), or names a
-    torque far beyond what its joint has and what it shows itself (a bump of friction below the speeds that
-    the data resolve)."""
-    sizes = [(planned.values[p.name], p.null) for p in planned.effect.nulls]
-    if all(np.all(np.ravel(size) == null) for size, null in sizes):
+    """Whether a law has shrunk to none, or to a simpler one (a shape at its bound, or unseen), has a size
+    that the data do not limit, or names a torque far beyond what its joint has and what it shows itself (a
+    bump of friction below the speeds that the data resolve)."""
+    sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
+    if all(np.all(np.ravel(size) == p.null) for size, p in sizes):
+        return True
+    if any(np.any(np.isclose(size, p.high, rtol=AT_BOUND, atol=0.0)) for size, p in sizes):
         return True
     if planned.joint is not None:
         named = [planned.values[p.name] for p in planned.effect.nulls if p.unit == "N m" and p.null == 0.0]
