@@ -72,15 +72,15 @@ def _folder() -> Path:
     return folder
 
 
-def _evenly(rng: np.random.Generator, low: float, high: float) -> float:
-    """Evenly in the logarithm."""
+def in_logarithm(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number drawn evenly in the logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _links(rng: np.random.Generator) -> list[Link]:
     count = int(rng.integers(1, 5))
-    length = _evenly(rng, 0.08, 1.5)
-    mass = _evenly(rng, 0.1, 6.0) * (length / 0.4) ** 2.2
+    length = in_logarithm(rng, 0.08, 1.5)
+    mass = in_logarithm(rng, 0.1, 6.0) * (length / 0.4) ** 2.2
     links = []
     for k in range(count):
         own = length * 0.85**k * rng.uniform(0.6, 1.2)
@@ -119,14 +119,14 @@ def _joints(links: list[Link], rng: np.random.Generator) -> str:
         if link.axis == ALONG:
             inertia *= 0.6 if k < len(links) - 1 else 0.0
             inertia, weight = max(inertia, 1.2 * link.inertia[0]), 0.3 * weight
-        stiffness = inertia * (2 * np.pi * _evenly(rng, 3.0, 30.0)) ** 2
-        motor = inertia * _evenly(rng, 0.1, 2.5)
+        stiffness = inertia * (2 * np.pi * in_logarithm(rng, 3.0, 30.0)) ** 2
+        motor = inertia * in_logarithm(rng, 0.1, 2.5)
         kp = min(stiffness * rng.uniform(0.6, 3.0), motor * SAMPLED**2)
         numbers = {
             "stiffness": stiffness,
-            "damping": 2 * _evenly(rng, 0.01, 0.08) * np.sqrt(stiffness * inertia),
+            "damping": 2 * in_logarithm(rng, 0.01, 0.08) * np.sqrt(stiffness * inertia),
             "motor_inertia": motor,
-            "motor_damping": 2 * (inertia + motor) * _evenly(rng, 0.3, 4.0),
+            "motor_damping": 2 * (inertia + motor) * in_logarithm(rng, 0.3, 4.0),
             "torque_limit": (weight + (inertia + motor) * rng.uniform(8, 30)) * rng.uniform(1.2, 2.0),
             "kp": kp,
             "kd": 2 * rng.uniform(0.3, 0.7) * np.sqrt(kp * motor),

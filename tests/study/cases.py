@@ -34,6 +34,7 @@ from planting import (
 )
 from planting.cases import INEXACT, Case, met_by
 from planting.catalogue import DRY_MOTOR
+from planting.drawn import in_logarithm
 from planting.sensing import CURRENT
 from planting.sizes import MET_EFFECTS, STEP_EFFECTS, nominal, usual_effect, usual_excitation
 
@@ -209,7 +210,7 @@ def _struck(number: int, rng: np.random.Generator) -> StudyCase:
 def _double(number: int, rng: np.random.Generator) -> StudyCase:
     robot = _drawn(ROBOT_SHARES, rng)
     joints = read_robot(robot_file(robot)).joints
-    size = _in_logarithm(rng, DOUBLE_SIZE)
+    size = in_logarithm(rng, *DOUBLE_SIZE)
     sensors = _drawn({k: SENSOR_SHARES[k] for k in ("full", "no torque sensor", "ragged time")}, rng)
     pool = [
         e
@@ -239,7 +240,7 @@ def _several(number: int, rng: np.random.Generator) -> StudyCase:
     pool = [e for e in EFFECTS if e not in STEP_EFFECTS and e in SHOWN["unknown offsets"]]
     effect = str(rng.choice([e for e in pool if not (loaded and e == "payload")]))
     joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))
-    size = _in_logarithm(rng, DOUBLE_SIZE)
+    size = in_logarithm(rng, *DOUBLE_SIZE)
     first, other = (str(e) for e in rng.choice(EXCITATIONS, 2, replace=False))
     planted = (usual_effect(effect, robot, joint, rng, size),)
     sensors = "unknown offsets"
@@ -281,13 +282,13 @@ def _any_robot(number: int, rng: np.random.Generator) -> StudyCase:
         int(rng.integers(1, 2**30)),
         _any_sensors(SENSORS[sensors], nominal(robot).torque_limit, rng),
         {"off": INEXACT, "exact": 0.0, "loose": LOOSE}[kind],
-        round(_in_logarithm(rng, DRAWN_SECONDS), 1),
+        round(in_logarithm(rng, *DRAWN_SECONDS), 1),
         float(rng.choice(list(DRAWN_RATES), p=list(DRAWN_RATES.values()))),
     )
     if number % DRAWN_HEALTHY == 0:
         return StudyCase("drawn", number, case, sensors, 0.0)
     shown = [e for e in EVERY if e in SHOWN.get(sensors, EVERY) and _sits_on(e, robot)]
-    effect, size = str(rng.choice(shown)), _in_logarithm(rng, DRAWN_SIZE)
+    effect, size = str(rng.choice(shown)), in_logarithm(rng, *DRAWN_SIZE)
     joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))
     if rng.random() < USUAL_EXCITATION:
         case = replace(case, excitation=usual_excitation(effect))
@@ -300,19 +301,14 @@ def _any_robot(number: int, rng: np.random.Generator) -> StudyCase:
 
 def _any_sensors(sensors: SensorSet, limit: np.ndarray, rng: np.random.Generator) -> SensorSet:
     """The set with noise and encoders of any quality; `limit` (n,) of the joints' torques."""
-    position, velocity = _in_logarithm(rng, POSITION_NOISE), _in_logarithm(rng, VELOCITY_NOISE)
-    torque = tuple(_in_logarithm(rng, TORQUE_NOISE) * limit)
+    position, velocity = in_logarithm(rng, *POSITION_NOISE), in_logarithm(rng, *VELOCITY_NOISE)
+    torque = tuple(in_logarithm(rng, *TORQUE_NOISE) * limit)
     noise: dict[str, float | tuple[float, ...]] = {
         channel: level * float(rng.uniform(0.5, 1.5))
         for channel, level in {"q": position, "theta": position, "dq": velocity, "dtheta": velocity}.items()
     }
     bits = int(rng.integers(ENCODER_BITS[0], ENCODER_BITS[1] + 1))
     return replace(sensors, noise=noise | {"tau_t": torque, CURRENT: torque}, resolution=2 * np.pi / 2**bits)
-
-
-def _in_logarithm(rng: np.random.Generator, between: tuple[float, float]) -> float:
-    """Evenly in the logarithm."""
-    return float(np.exp(rng.uniform(*np.log(between))))
 
 
 def _case(
