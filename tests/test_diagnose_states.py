@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from flexjoint.diagnose.states import state_along
+from flexjoint.diagnose.states import state_along, stepped
 from flexjoint.effect import Signals, catalogue, plan
 from flexjoint.ops import Value
 
@@ -52,3 +52,14 @@ def test_a_state_is_that_of_a_solver(name: str, since: float | None) -> None:
     np.testing.assert_array_equal(z[t < begin], start)
     # order 2 in the period: (0.001 / 0.005 of the fastest of these, squared, times a twelfth)
     np.testing.assert_allclose(z[t >= begin], exact, atol=2e-3 * np.ptp(exact))
+
+
+@pytest.mark.parametrize("count", [1, 2, 16, 17, 1000])
+def test_a_recursion_in_blocks_is_that_step_by_step(count: int) -> None:
+    rng = np.random.default_rng(count)
+    keep, add = rng.choice([0.0, 0.3, 0.999, 1.0], count), rng.normal(size=count)
+    z = [0.7]
+    for k, a in zip(keep[:-1], add[:-1], strict=True):
+        z.append(k * z[-1] + a)
+    # rounding of a thousand steps that keep what they have
+    np.testing.assert_allclose(stepped(0.7, keep, add), z, rtol=0.0, atol=1e-12 * max(1.0, np.max(np.abs(z))))

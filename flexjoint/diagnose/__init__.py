@@ -95,7 +95,17 @@ def diagnose(
         if again is not None:
             workspace, selection, notes = again.workspace, again.selection, (*notes, *again.notes)
             measured = held_out.comparison(robot, recording, workspace, selection.best, measured)
-    result = named(robot, recordings, workspace, selection, measured, spread, refine=refine, report=report)
+    result = named(
+        robot,
+        recordings,
+        workspace,
+        selection,
+        measured,
+        spread,
+        refine=refine,
+        workers=workers,
+        report=report,
+    )
     selection, best, left, explained = result.selection, result.selection.best, result.left, result.explained
     notes += (*result.notes, *verdict.not_believed(best))
     found = verdict.merged(result.found, candidates)

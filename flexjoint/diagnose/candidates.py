@@ -167,7 +167,7 @@ def traces(
         return
     listed = next((e for e in base if e.key == candidate.key), None)
     phase = [p.name for p in effect.params if p.wraps]
-    starts: Sequence[Mapping[str, Any]] = effect.starts(workspace.signals(candidate.joint))
+    starts: Sequence[Mapping[str, Any]] = workspace.starts(effect, candidate.joint)
     if listed is not None:
         starts = [{p.name: listed.values[p.name] for p in effect.params if p.null is None}]
     seen: set[tuple[tuple[str, Any], ...]] = set()

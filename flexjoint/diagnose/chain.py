@@ -12,14 +12,13 @@ from functools import partial
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import map_coordinates
 
 from flexjoint.diagnose.dry_friction import REST_SPEED, DryFriction
 from flexjoint.diagnose.joint_readings import JointReadings
 from flexjoint.diagnose.loads import Loads
 from flexjoint.diagnose.motion import Motion
 from flexjoint.diagnose.recent import Recent
-from flexjoint.diagnose.signals import reach_of_ends
+from flexjoint.diagnose.signals import later, reach_of_ends
 from flexjoint.diagnose.states import state_along
 from flexjoint.effect import Drive, Planned, Signals, Site
 from flexjoint.flow import neighbours
@@ -126,13 +125,14 @@ class Chains:
             motor_hat, spring_hat = self._gated_drive(e, drive, motor_hat, spring_hat, q_hat, theta_hat)
         motor_hat = motor_hat + self._torques(at[Site.MOTOR], signals)
         link_hat = self._torques(at[Site.LINK], signals)
-        own = self._pulling(i, at, motor_hat, spring_hat, readings.reading)
-        calm = None
-        if self.calm is not None and any(e.effect.overrides("level") for e in effects):
+        calm, held_motor, held_link = None, NOWHERE, NOWHERE
+        if self.calm is not None and _dry(effects):
             calm = self.calm.get(i, [e for e in effects if not e.effect.overrides("level")])
-        rubbing, held_link = self._link_friction(i, at, signals, own + link_hat, calm)
-        link_hat, held_motor = link_hat + rubbing, NOWHERE
-        if base.driven:
+        if _dry(at[Site.LINK]):
+            own = self._pulling(i, at, motor_hat, spring_hat, readings.reading)
+            rubbing, held_link = self._link_friction(i, at, signals, own + link_hat, calm)
+            link_hat = link_hat + rubbing
+        if _dry(at[Site.MOTOR]) and base.driven:
             net_hat = motor_hat - self._load(i, at[Site.BODY], spring_hat, link_hat, readings.reading)
             rubbing, held_motor = self._motor_friction(i, at, signals, drive, net_hat, calm)
             motor_hat = motor_hat + rubbing
@@ -183,7 +183,7 @@ class Chains:
                     for _ in range(INVERSION_ROUNDS):
                         true = measured - (e.effect.map(Signals(t=self.t), p, true) - true)
                 if e.effect.overrides("delay"):
-                    true = _later(true, -float(e.effect.delay(p)) / self.period)
+                    true = later(true, -float(e.effect.delay(p)) / self.period)
                 readings[channel] = self._since(e, true, measured)
         q = readings["theta"] if rigid else readings["q"]
         return q, readings["theta"], readings["tau_t"]
@@ -198,7 +198,7 @@ class Chains:
         for e in effects:
             p, before, signals.tau_m = e.p, torque, torque
             if e.effect.overrides("delay"):
-                torque = _later(torque, float(e.effect.delay(p)) / self.period)
+                torque = later(torque, float(e.effect.delay(p)) / self.period)
             torque = e.effect.map(signals, p, torque)
             if e.effect.states:
                 torque = torque + e.effect.torque(signals, p, state_along(e, signals, self.period, 0))
@@ -267,10 +267,7 @@ class Chains:
         signals: Signals,
         torque_hat: np.ndarray,
         calm: Chain | None,
-    ) -> tuple[np.ndarray | float, np.ndarray]:
-        dry = [e for e in at[Site.LINK] if e.effect.overrides("level")]
-        if not dry:
-            return 0.0, NOWHERE
+    ) -> tuple[np.ndarray, np.ndarray]:
         load = self.loads.carried(i, at[Site.BODY])
         if self.calm is not None and calm is not None:
             own = self._pulling(i, at, calm.motor, calm.spring_torque, calm.reading)
@@ -280,7 +277,9 @@ class Chains:
             net = calm_net = self._time(torque_hat) - load
         if self.floating:
             net, calm_net = net - np.mean(net), calm_net - np.mean(calm_net)
-        return self._dry(dry, signals, signals.dq, net, calm_net, self._link_inertia(i), self._noise(i))
+        return self._rubbing(
+            _dry(at[Site.LINK]), signals, signals.dq, net, calm_net, self._link_inertia(i), self._noise(i)
+        )
 
     def _pulling(
         self,
@@ -293,8 +292,7 @@ class Chains:
         """Spectrum of what pulls at a link from its motor's side."""
         if self.motion.robot.joints[i].rigid:
             return motor_hat
-        rubs = any(e.effect.overrides("level") for e in at[Site.MOTOR])
-        return self.base(i).told(spring_hat, reading, None if rubs else motor_hat)
+        return self.base(i).told(spring_hat, reading, None if _dry(at[Site.MOTOR]) else motor_hat)
 
     def _motor_friction(
         self,
@@ -304,10 +302,7 @@ class Chains:
         drive: Drive,
         net_hat: np.ndarray,
         calm: Chain | None,
-    ) -> tuple[np.ndarray | float, np.ndarray]:
-        dry = [e for e in at[Site.MOTOR] if e.effect.overrides("level")]
-        if not dry:
-            return 0.0, NOWHERE
+    ) -> tuple[np.ndarray, np.ndarray]:
         rigid = self.motion.robot.joints[i].rigid
         inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
         if self.calm is not None and calm is not None:
@@ -316,7 +311,9 @@ class Chains:
             net, calm_net = self._times(net_hat, calm_hat)
         else:
             net = calm_net = self._time(net_hat)
-        return self._dry(dry, signals, signals.dtheta, net, calm_net, inertia, self._noise(i))
+        return self._rubbing(
+            _dry(at[Site.MOTOR]), signals, signals.dtheta, net, calm_net, inertia, self._noise(i)
+        )
 
     def _noise(self, i: int) -> float:
         """Noise of joint i's positions: an angle without a sensor is made of the other one."""
@@ -325,7 +322,7 @@ class Chains:
     def _link_inertia(self, i: int) -> float:
         return float(np.mean(self.motion.rigid.mass[:, i, i]))
 
-    def _dry(
+    def _rubbing(
         self,
         effects: Sequence[Planned],
         signals: Signals,
@@ -388,13 +385,13 @@ class Chains:
         return fft.irfft(np.array([one, other]), self.filter.size)[:, : self.filter.count]
 
 
-def _later(x: np.ndarray, samples: float) -> np.ndarray:
-    """The signal delayed by a number of samples, by cubic interpolation on the even grid."""
-    return np.asarray(map_coordinates(x, [np.arange(x.size) - samples], order=3, mode="nearest"))
-
-
 def _by_site(effects: Sequence[Planned]) -> dict[Site, list[Planned]]:
     sites: dict[Site, list[Planned]] = {site: [] for site in Site}
     for e in effects:
         sites[e.effect.site].append(e)
     return sites
+
+
+def _dry(effects: Sequence[Planned]) -> list[Planned]:
+    """Those that are a dry friction."""
+    return [e for e in effects if e.effect.overrides("level")]

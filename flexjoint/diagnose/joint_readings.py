@@ -79,13 +79,27 @@ class JointReadings:
         """Spectrum of the spring's torque, which a friction holds against, as its deflection, its sensor and
         (where it is not None) its motor tell it: each frequency by what tells it best, but the fast ones by
         the deflection, which rounds a stop as the accelerations do that its torque is weighed against."""
-        shares, ways = self.precisions, [spring_hat, motor_hat, reading]
-        if motor_hat is None:
-            shares, ways = shares[[0, 2]], [spring_hat, reading]
-        if not np.any(shares[1:]):
+        gains = self._gains[motor_hat is not None]
+        if gains is None:
             return spring_hat
-        best = np.sum(shares * np.array(ways), axis=0) / np.sum(shares, axis=0)
-        return np.asarray(spring_hat + self._slow * (best - spring_hat))
+        spring, motor, sensor = gains
+        told = spring * spring_hat + sensor * reading
+        return told if motor_hat is None else told + motor * motor_hat
+
+    @cached_property
+    def _gains(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """(3, F) gains of deflection, motor and sensor in `told`, without the motor and with it; None where
+        the deflection alone tells."""
+        gains: list[np.ndarray | None] = []
+        for motor in (0.0, 1.0):
+            shares = self.precisions * np.array([1.0, motor, 1.0])[:, None]
+            if np.any(shares[1:]):
+                best = self._slow * shares / np.sum(shares, axis=0)
+                best[0] += 1.0 - self._slow
+                gains.append(best)
+            else:
+                gains.append(None)
+        return gains[0], gains[1]
 
     @cached_property
     def _slow(self) -> np.ndarray:

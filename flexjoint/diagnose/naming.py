@@ -41,6 +41,7 @@ def named(
     spread: Mapping[Key, Errors],
     *,
     refine: bool,
+    workers: int,
     report: Progress,
 ) -> Named:
     """What a selection can be said to be, and by which numbers.
@@ -49,6 +50,7 @@ def named(
         measured: the gain of the selection on held-out data.
         spread: standard errors that replace those of the first recording.
         refine: whether the numbers are refined on the simulation.
+        workers: processes that share that.
     """
     notes: tuple[str, ...] = ()
     while True:
@@ -59,7 +61,7 @@ def named(
         found = verdict.findings(selection, held_out.gains(workspace, best), explained, spread)
         doubtful, why = doubts.improbable(found), "something like {} would help, but others fit as well"
         if not doubtful:
-            found, estimation, told = _estimated(robot, recordings, best, found, refine, report)
+            found, estimation, told = _estimated(robot, recordings, best, found, refine, workers, report)
             doubtful = doubts.vanishing(best, found, estimation)
             why = "the simulation does not tell {} from none"
         finer = () if doubtful else doubts.finer(best, found, estimation)
@@ -80,6 +82,7 @@ def _estimated(
     best: Fit,
     found: tuple[Finding, ...],
     refine: bool,
+    workers: int,
     report: Progress,
 ) -> tuple[tuple[Finding, ...], Estimation | None, tuple[str, ...]]:
     """The findings with their numbers refined on the simulation where that is asked for and can be done, how
@@ -90,6 +93,6 @@ def _estimated(
         why = "several recordings share their numbers" if refine else "no refinement was asked for"
         return found, refined.from_balances(best, why), ()
     report(0.95, "refining the numbers on the simulation")
-    found, estimation = refined.refine(robot, recordings[0], best, found)
+    found, estimation = refined.refine(robot, recordings[0], best, found, workers)
     why = estimation.why
     return found, estimation, (f"numbers are those of the torque balances: {why}",) if why else ()

@@ -31,11 +31,11 @@ IMPLAUSIBLE = 6.0  # prior deviations of a nominal number, from which the model 
 
 
 def refine(
-    robot: Robot, recording: Recording, best: Fit, found: Sequence[Finding]
+    robot: Robot, recording: Recording, best: Fit, found: Sequence[Finding], workers: int = 1
 ) -> tuple[tuple[Finding, ...], Estimation]:
     """Findings with the numbers of their effects refined on the simulation, or as they are where that does
-    not serve: the estimation says which, and why."""
-    refinement = _begun(robot, recording, best)
+    not serve: the estimation says which, and why. So many `workers` (processes) share the simulations."""
+    refinement = _begun(robot, recording, best, workers)
     why = refinement if isinstance(refinement, str) else ""
     if not isinstance(refinement, str):
         try:
@@ -76,7 +76,7 @@ def _known_better(best: Fit, estimate: Estimate) -> str:
     return ""
 
 
-def _begun(robot: Robot, recording: Recording, best: Fit) -> Refinement | str:
+def _begun(robot: Robot, recording: Recording, best: Fit, workers: int) -> Refinement | str:
     """A refinement on windows as long as the simulation stays with the readings, or why there is none.
 
     A long window tells slow torques from noise (a torque moves a link by the square of the time), but what
@@ -89,7 +89,7 @@ def _begun(robot: Robot, recording: Recording, best: Fit) -> Refinement | str:
     chosen: Refinement | None = None
     try:
         for seconds in LENGTHS:
-            trial = _trial(robot, recording, best, seconds)
+            trial = _trial(robot, recording, best, seconds, workers)
             if trial is None:
                 break
             if chosen is not None and not _better(trial, chosen):
@@ -115,12 +115,14 @@ def _unfit(robot: Robot, recording: Recording) -> str:
     return ""
 
 
-def _trial(robot: Robot, recording: Recording, best: Fit, seconds: float) -> Refinement | None:
+def _trial(robot: Robot, recording: Recording, best: Fit, seconds: float, workers: int) -> Refinement | None:
     """A refinement on windows of this length; with the noise of the motor torques where without it the
     residual is more than the sensors' noise. None: too few windows."""
     trial: Refinement | None = None
     for disturbed in (False, True):
-        shooting = Shooting(robot, recording, best.workspace, best.effects, best.slots, seconds, disturbed)
+        shooting = Shooting(
+            robot, recording, best.workspace, best.effects, best.slots, seconds, disturbed, workers
+        )
         if len(shooting.windows) < FEWEST:
             return None
         trial = Refinement(shooting, best)

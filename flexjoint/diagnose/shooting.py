@@ -13,13 +13,14 @@ import numpy as np
 
 from flexjoint.clock import on_regular_clock
 from flexjoint.clockwork import physics_rate
+from flexjoint.diagnose.crew import crew
 from flexjoint.diagnose.fit import Slot
-from flexjoint.diagnose.nuisance import NUMBERS, OFFSET_SPREAD, inertial_directions
+from flexjoint.diagnose.open_numbers import open_numbers
 from flexjoint.diagnose.workspace import Workspace
-from flexjoint.effect import Planned, Site, plan
+from flexjoint.effect import Planned, plan
 from flexjoint.estimate import StateEstimator
 from flexjoint.model import FlexibleJointModel
-from flexjoint.parameters import DRIVE_KEYS, labels
+from flexjoint.parameters import labels
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 from flexjoint.sensitivities import Delays, Directions, Inputs, StepDerivatives, link_load
@@ -33,18 +34,7 @@ PASSES = 3  # linearisations to be expected
 FLAT = 1e3  # noises by which a start may differ from its measured value: anything that could be
 DISTURBED = 0.01  # s, of the blocks by which the noise of motor torques is told: motors answer more slowly
 Z_SHARE = 0.3  # of an internal state's range, the same
-VISIBLE = 0.1  # energy by which one deviation of a nominal number must show, to be of any account
 MOST_WORK = 4e7  # entries of sensitivities times steps: some seconds; windows are left out beyond it
-
-
-@dataclass(frozen=True)
-class Number:
-    """A nominal number that the robot's tolerances leave open: a parameter by name, or a direction (10 n,) of
-    the links' inertial parameters; `spread` is one prior deviation."""
-
-    label: str
-    spread: float
-    direction: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,6 +44,18 @@ class Window:
     start: float
     rows: slice
     phase: int
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Windows (by number, all of one phase) that are simulated side by side, and where they are linearised:
+    slots (k,), deviations (d,), their starts (rows, nx), by steps so many times as long."""
+
+    rows: tuple[int, ...]
+    slots: np.ndarray
+    deviations: np.ndarray
+    starts: np.ndarray
+    coarse: int
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class Shooting:
         seconds: length of a window.
         disturbed: whether the noise of the motor torques counts, which moves the motors within a window.
         slots: the free numbers of the effects.
+        workers: processes that share the windows; the bits are the same for any number.
     """
 
     def __init__(
@@ -87,8 +90,9 @@ class Shooting:
         slots: Sequence[Slot],
         seconds: float,
         disturbed: bool = False,
+        workers: int = 1,
     ) -> None:
-        self.workspace, self.seconds = workspace, seconds
+        self.workspace, self.seconds, self.workers = workspace, seconds, workers
         self.recording = recording = on_regular_clock(recording)
         self.begin = float(recording.time[0])
         self.rate = physics_rate(robot)
@@ -104,7 +108,7 @@ class Shooting:
             SymbolicModel(robot, [*held, *loads], ("drives",), at=max(time, -1.0)) for time in self.phases
         ]
         self.parameters = self._symbolic[0].parameters
-        self.nominal = _numbers(robot, workspace, free_offsets)
+        self.nominal = open_numbers(robot, workspace, free_offsets)
         self.blocks = max(1, round(seconds / DISTURBED)) if disturbed else 0
         self.own = self.model.nx + len(robot.joints) * self.blocks  # unknowns of a window
         columns = self.own + len(slots) + len(self.nominal)
@@ -192,24 +196,39 @@ class Shooting:
     ) -> list[Reduced]:
         """Every window about these slot values (k,), deviations (d,) and starts (windows, nx); the common
         numbers are the slots, then the deviations. `coarse` 2 takes steps twice as long."""
-        rate, steps = self.rate / coarse, self.steps // coarse
-        numbers = self.numbers(slots, deviations)
-        out: list[Reduced | None] = [None] * len(self.windows)
         columns = self.own + len(self.slot_labels) + len(self.nominal)
-        most = int(SIDE_MEMORY / (8.0 * (steps + 1) * len(self.keys) * columns))
-        side = min(SIDE_BY_SIDE, max(1, most))
-        for phase, derivatives in self._derivatives.items():
-            rows = [k for k, window in enumerate(self.windows) if window.phase == phase]
-            for begin in range(0, len(rows), side):
-                part = rows[begin : begin + side]
-                inputs, directions = self._inputs(part, numbers, deviations, starts[part], steps)
-                # a window that swings up leaves the finite numbers, for which an estimate is refused
-                with np.errstate(over="ignore", invalid="ignore"):
-                    run = derivatives.run(inputs, numbers, directions, rate)
-                    for place, k in enumerate(part):
-                        prior = (starts[k] - self.starts[k]) / self.spread
-                        out[k] = self._reduced(k, run.readings[place], run.by[place], numbers, prior, rate)
-        return [reduced for reduced in out if reduced is not None]
+        most = int(SIDE_MEMORY / (8.0 * (self.steps // coarse + 1) * len(self.keys) * columns))
+        parts = [
+            _Part(tuple(rows), slots, deviations, starts[rows], coarse)
+            for phase in self._derivatives
+            for rows in self._side_by_side(phase, min(SIDE_BY_SIDE, max(1, most)))
+        ]
+        with crew([self], min(self.workers, len(parts))) as processes:
+            found = processes.map(self._linearised, parts)
+        out: dict[int, Reduced] = {}
+        for part, reduced in zip(parts, found, strict=True):
+            out.update(zip(part.rows, reduced, strict=True))
+        return [out[k] for k in sorted(out)]
+
+    def _side_by_side(self, phase: int, most: int) -> list[list[int]]:
+        """The windows of a phase, in equal parts of at most so many: an even number, for two cores."""
+        rows = [k for k, window in enumerate(self.windows) if window.phase == phase]
+        parts = min(len(rows), 2 * int(np.ceil(0.5 * len(rows) / most)))
+        return [list(map(int, part)) for part in np.array_split(rows, parts)]
+
+    def _linearised(self, part: _Part) -> list[Reduced]:
+        rate, steps = self.rate / part.coarse, self.steps // part.coarse
+        numbers = self.numbers(part.slots, part.deviations)
+        derivatives = self._derivatives[self.windows[part.rows[0]].phase]
+        inputs, directions = self._inputs(part.rows, numbers, part.deviations, part.starts, steps)
+        out = []
+        # a window that swings up leaves the finite numbers, for which an estimate is refused
+        with np.errstate(over="ignore", invalid="ignore"):
+            run = derivatives.run(inputs, numbers, directions, rate)
+            for place, k in enumerate(part.rows):
+                prior = (part.starts[place] - self.starts[k]) / self.spread
+                out.append(self._reduced(k, run.readings[place], run.by[place], numbers, prior, rate))
+        return out
 
     def _inputs(
         self,
@@ -344,41 +363,3 @@ def _offsets(robot: Robot, effects: Sequence[Planned]) -> list[Planned]:
     names = ("link_encoder_offset", "motor_encoder_offset")
     wanted = [(name, j.name) for j in robot.joints for name in names[j.rigid :]]
     return [plan(name, joint, {"offset": 0.0}) for name, joint in wanted if (name, joint) not in taken]
-
-
-def _numbers(robot: Robot, workspace: Workspace, offsets: Sequence[Planned]) -> list[Number]:
-    """The nominal numbers with a tolerance, as `nuisance.Columns` has them."""
-    tolerance = robot.tolerance
-    trust = {"K": tolerance.stiffness, "D": tolerance.damping, "B": tolerance.inertial}
-    trust["D_m"] = tolerance.damping
-    out: list[Number] = []
-    for joint in robot.joints:
-        for symbol in NUMBERS.values():
-            value = getattr(joint.drive, symbol)
-            if np.isfinite(value) and trust[symbol] * value > 0.0:
-                out.append(Number(f"drive.{joint.name}.{DRIVE_KEYS[symbol]}", trust[symbol] * value))
-    out += _inertial_numbers(robot, workspace)
-    by_site = {Site.MOTOR: tolerance.damping, Site.LINK: tolerance.damping, Site.BODY: tolerance.inertial}
-    for e in robot.effects:
-        spread = by_site.get(e.effect.site, tolerance.stiffness)
-        for param in e.effect.nulls:
-            value = e.values.get(param.name)
-            if param.size == 1 and value and np.isfinite(value) and spread > 0.0:
-                out.append(Number(labels(e, param.name, 1)[0], abs(value) * spread))
-    return out + [Number(labels(e, "offset", 1)[0], OFFSET_SPREAD) for e in offsets]
-
-
-def _inertial_numbers(robot: Robot, workspace: Workspace) -> list[Number]:
-    """The links' inertial parameters within their tolerance: as many directions as the recording shows at
-    all. Their prior is the same in all directions, so that any rotation of them will do."""
-    tolerance = robot.tolerance.inertial
-    places = [k for k, number in enumerate(workspace.nuisance) if number.name == "inertial"]
-    if not places:
-        return []
-    joints = [i for i, row in enumerate(workspace.motion.rigid.inertial) if row[0] > 0.0]
-    change = np.zeros((len(places), 10 * len(robot.joints)))
-    for at, i in enumerate(joints):
-        directions = inertial_directions(workspace.motion.rigid.inertial[i], tolerance)
-        change[10 * at : 10 * at + 10, 10 * i : 10 * i + 10] = directions
-    energy, axes = np.linalg.eigh(workspace.bare_gram[np.ix_(places, places)])
-    return [Number("", 1.0, tuple(axes[:, k] @ change)) for k in np.flatnonzero(energy > VISIBLE)[::-1]]

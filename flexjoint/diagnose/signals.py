@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 from scipy.interpolate import Akima1DInterpolator, CubicSpline
+from scipy.ndimage import map_coordinates
 from scipy.signal import welch
 
 from flexjoint.clock import on_regular_clock
@@ -252,3 +253,8 @@ def make_filter(count: int, period: float, sigma: float) -> Filter:
     omega = 2.0 * np.pi * fft.rfftfreq(size, period)
     gain = np.exp(-0.5 * np.minimum((omega * sigma) ** 2, 600.0))
     return Filter(count, period, size, omega, gain, np.linspace(0.0, 1.0, size - count + 2)[1:-1])
+
+
+def later(x: np.ndarray, samples: float) -> np.ndarray:
+    """The signal delayed by a number of samples, by cubic interpolation on the even grid."""
+    return np.asarray(map_coordinates(x, [np.arange(x.size) - samples], order=3, mode="nearest"))

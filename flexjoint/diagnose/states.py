@@ -34,11 +34,27 @@ def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.n
     if e.since is not None and not e.effect.overrides("settled"):
         asleep = signals.t < e.since
         keep, add = np.where(asleep, 1.0, keep), np.where(asleep, 0.0, add)
-    z, out = float(e.effect.settled(first, p)), []
-    for k, a in zip(keep.tolist(), add.tolist(), strict=True):
-        out.append(z)
+    return stepped(float(e.effect.settled(first, p)), keep, add)
+
+
+def stepped(first: float, keep: np.ndarray, add: np.ndarray) -> np.ndarray:
+    """(N,) z[k] of z[k + 1] = keep[k] z[k] + add[k] from z[0] = `first`, where keep (N,) is 0 to 1.
+
+    A search takes many: blocks are stepped side by side, each from 0 and with what it keeps of its begin."""
+    length = int(np.ceil(np.sqrt(keep.size)))
+    beyond = -keep.size % length
+    keeps = np.append(keep, np.ones(beyond)).reshape(-1, length).T
+    adds = np.append(add, np.zeros(beyond)).reshape(-1, length).T
+    kept, moved = np.empty((length + 1, keeps.shape[1])), np.empty((length + 1, keeps.shape[1]))
+    kept[0], moved[0] = 1.0, 0.0
+    for row in range(length):
+        kept[row + 1] = keeps[row] * kept[row]
+        moved[row + 1] = keeps[row] * moved[row] + adds[row]
+    z, begins = first, []
+    for k, a in zip(kept[-1].tolist(), moved[-1].tolist(), strict=True):
+        begins.append(z)
         z = k * z + a
-    return np.array(out)
+    return np.asarray((kept[:-1] * np.array(begins) + moved[:-1]).T.ravel()[: keep.size])
 
 
 def _mean_of_ends(x: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from flexjoint.diagnose.balances import TwinBalances
 from flexjoint.diagnose.nuisance import Columns
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.whitening import Band
-from flexjoint.effect import Planned, Signals
+from flexjoint.effect import Effect, Planned, Signals
 from flexjoint.flow import neighbours
 
 PLAUSIBLE = 2.5  # prior deviations up to which a nominal number may be off before a cause must be sought
@@ -60,6 +60,7 @@ class Workspace:
         self.freedom = self.time.size * self.whitening.freedom
         self.nominal = tuple(self.robot.effects)
         self._signals: dict[str | None, Signals] = {}
+        self._starts: dict[tuple[str, str | None], tuple[dict[str, float], ...]] = {}
         self._recent: Recent[np.ndarray] = Recent()
         self._moves: Recent[Moves] = Recent()
         self._columns = Columns(balances.quiet, self.whitening)
@@ -336,6 +337,13 @@ class Workspace:
     def noise_energy(self) -> float:
         """Energy that the predicted noise alone has at this temper."""
         return float(np.sum(1.0 / self.temper)) * self.freedom / len(self.temper)
+
+    def starts(self, effect: Effect, joint: str | None) -> tuple[dict[str, float], ...]:
+        """From where an effect of a joint is looked for."""
+        key = effect.name, joint
+        if key not in self._starts:
+            self._starts[key] = effect.starts(self.signals(joint))
+        return self._starts[key]
 
     def signals(self, joint: str | None) -> Signals:
         """Measured signals of a joint on usable samples, as `Effect.starts` sees them."""
