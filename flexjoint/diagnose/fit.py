@@ -62,6 +62,11 @@ class Fit:
         a step to another level nobody does."""
         return self.judge()
 
+    @cached_property
+    def pulled(self) -> float:
+        """Prior deviations by which the furthest nominal number has to be off."""
+        return float(np.max(np.abs(self.workspace.deviations(self.y)), initial=0.0))
+
 
 def shifts(result: Fit) -> list[Planned]:
     """What the nominal numbers' own tolerances take on beside the fitted effects, as effects: where they are

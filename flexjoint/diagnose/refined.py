@@ -10,6 +10,7 @@ import numpy as np
 from flexjoint.diagnose.fit import Fit, covariance
 from flexjoint.diagnose.output_error import BLOCK, Estimate, Refinement
 from flexjoint.diagnose.shooting import Shooting, slot_label
+from flexjoint.diagnose.workspace import IMPLAUSIBLE
 from flexjoint.diagnosis import Estimation, Finding
 from flexjoint.effect import Planned
 from flexjoint.errors import FlexJointError
@@ -27,7 +28,6 @@ FEWEST = 8  # windows
 WORSE = 4.0  # times what chance takes, from which held-out windows speak against a refinement
 LESS_WELL = 1.2  # times the balances' standard errors, and
 CONFIRMED = 2.0  # of the simulation's, within which it confirms the balances' numbers
-IMPLAUSIBLE = 6.0  # prior deviations of a nominal number, from which the model is another one
 
 
 def refine(

@@ -27,6 +27,7 @@ from flexjoint.diagnose.worth import (
     contradicted,
     degenerate,
     leftover,
+    only_strained,
     price,
     score,
     worthwhile,
@@ -126,9 +127,10 @@ def _grown(
         scans.append(both[0])
         found = larger_sets(best, both, bare, search.crew)
         found = found or on_all_joints(best, search.scanner.candidates)
-        if not found:
+        grown = _settled(best, found)
+        if grown is None:
             break
-        best = prune(at_own_level(choose(found)))
+        best = prune(grown)
         if _keys(best) in seen:
             break
         seen.add(_keys(best))
@@ -137,6 +139,19 @@ def _grown(
             search, best, [e for e in best.effects if e.joint == newest.joint and e is not newest]
         )
     return best
+
+
+def _settled(best: Fit, found: Sequence[Fit]) -> Fit | None:
+    """The best of some sets, at the level that it leaves, or the next one, if there it is better than `best`
+    by implausible numbers alone."""
+    waiting = list(found)
+    while waiting:
+        chosen = choose(waiting)
+        settled = at_own_level(chosen)
+        if not only_strained(settled, best):
+            return settled
+        waiting = [f for f in waiting if f is not chosen]
+    return None
 
 
 def most_effects(workspace: Workspace) -> int:

@@ -22,7 +22,9 @@ from flexjoint.diagnose.worth import (
     COMPLETE,
     at_own_level,
     degenerate,
+    only_strained,
     score,
+    strained,
     torque_shares,
     worthwhile,
 )
@@ -163,7 +165,9 @@ def beside_rivals(
 ) -> list[Fit]:
     """Where `best` leaves balances wrong: sets that clear them of each effect, started anew, beside each of
     the fits with a rival in its place. An effect that came first has sizes that stand in for what its rival
-    explains (a gap, for an offset that moves it to one side), from where no search finds back."""
+    explains (a gap, for an offset that moves it to one side), from where no search finds back. Beside a rival
+    that the effect contains as a special case, what else there is on its joint stands in for the rest (an
+    offset, for the second level of a friction)."""
     workspace = best.workspace
     wrong = workspace.temper / workspace.strain > CLEARED
     joints = {row.joint for row, bad in zip(workspace.balances.rows, wrong, strict=True) if bad}
@@ -173,24 +177,34 @@ def beside_rivals(
         if not names or (acts_within_a_joint(effect) and effect.joint not in names):
             continue
         own = tuple(c for c in candidates if c.key == effect.key)
-        tasks += [(best, rival, own) for rival in fits]
+        others = tuple(c for c in candidates if c.joint == effect.joint and c.key != effect.key)
+        tasks += [(best, rival, others if _narrower(rival, effect) else own) for rival in fits]
     return on_one_level([f for f in crew.map(_beside, tasks) if f is not None], crew)
 
 
+def _narrower(rival: Fit, effect: Planned) -> bool:
+    """Whether a rival's effect is a special case of an effect."""
+    added = rival.effects[-1]
+    return added.joint == effect.joint and added.effect.name in effect.effect.contains
+
+
 def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
-    """The last effect of a rival set, and what it took the place of once more, if that clears what is wrong
-    in `best`, each at its own level."""
+    """The last effect of a rival set, and the best of some candidates beside it, if that clears what is wrong
+    in `best`, each at its own level, or takes a law apart that strains the nominal numbers."""
     best, rival, candidates = task
     scored = Scanner(candidates).scan(rival)
     trial = added_to(rival, scored[0]) if scored else None
     if trial is None:
         return None
-    if _cleared(best, trial.workspace.levels(trial.y), _marked(trial, 2)) < np.log(CLEARED):
+    # what two causes do, one law may do as well with nominal numbers that are far off
+    apart = strained(best, trial) and any(_narrower(rival, e) for e in best.effects)
+    if not apart and _cleared(best, trial.workspace.levels(trial.y), _marked(trial, 2)) < np.log(CLEARED):
         return None
     settled = at_own_level(trial)
-    newcomer = settled.effects[len(rival.effects) - 1]
     without = fit(settled.workspace, best.effects)
-    return settled if worthwhile(settled, without, newcomer) else None
+    if apart:
+        return settled if score(settled) < score(without) else None
+    return settled if worthwhile(settled, without, settled.effects[len(rival.effects) - 1]) else None
 
 
 def _settled(task: tuple[Fit, Fit]) -> Fit | None:
@@ -204,7 +218,8 @@ def _settled(task: tuple[Fit, Fit]) -> Fit | None:
     if not relieved and _cleared(best, levels, _marked(settled, 1)) < np.log(CLEARED):
         return None
     without = fit(settled.workspace, best.effects)
-    return settled if worthwhile(settled, without, settled.effects[-1]) else None
+    better = worthwhile(settled, without, settled.effects[-1]) and not only_strained(settled, best)
+    return settled if better else None
 
 
 def on_one_level(fits: Sequence[Fit], crew: Crew) -> list[Fit]:

@@ -13,7 +13,7 @@ from flexjoint.diagnose.fit import Fit, covariance, fit
 from flexjoint.diagnose.reliability import left_by, reliability
 from flexjoint.diagnose.selection import Key, Selection, choose
 from flexjoint.diagnose.ties import preferred, ties
-from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, score, worthwhile
+from flexjoint.diagnose.worth import at_own_level, contradicted, degenerate, score, strained, worthwhile
 from flexjoint.diagnosis import Finding, Fitted, Ranked, WithinTolerance
 from flexjoint.effect import Kind, Param, Planned
 
@@ -155,6 +155,7 @@ def findings(
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
+        rivals = tuple(rival for rival in rivals if not strained(rival, best))
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
         left, share = left_by(best, selection.nothing, k)
         believed = reliability(best, left, share, k)

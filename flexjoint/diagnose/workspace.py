@@ -25,6 +25,7 @@ from flexjoint.effect import Effect, Planned, Signals
 from flexjoint.flow import neighbours
 
 PLAUSIBLE = 2.5  # prior deviations up to which a nominal number may be off before a cause must be sought
+IMPLAUSIBLE = 6.0  # from which the model is another one
 TEMPER_ROUNDS = 12
 TELLING = 100.0  # energy that must remain, for a cause to be able to earn its price
 FEWEST = 100  # independent samples that a recording is credited with at least

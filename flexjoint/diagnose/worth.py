@@ -13,7 +13,7 @@ import numpy as np
 
 from flexjoint.diagnose.fit import Fit, fit, shifts
 from flexjoint.diagnose.nuisance import NUMBERS
-from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.workspace import IMPLAUSIBLE, PLAUSIBLE, Workspace
 from flexjoint.effect import Kind, Param, Planned, Site
 
 # energy that an effect of one number must earn on one joint, 4 deviations: some hundred candidates are tried,
@@ -43,6 +43,7 @@ LUCKY = 4.0  # sizes of the noise that it moves, which a shift or a lag must ear
 AT_BOUND = 0.1  # relative distance from a shape's bound, or a size's upper one (all far outside of machines)
 BOUNDLESS = 30.0  # times a joint's RMS torque, or what a law shows, beyond which its own torque is none of it
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
+FURTHER = 2.0  # times the deviations of one set's nominal numbers, up to which another's may be, too
 LEVEL_ROUNDS = 5
 
 
@@ -155,6 +156,23 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     if contradicted(trial, without):
         return False
     return told_by_motion(trial, earned, added) and material(trial, added, earned)
+
+
+def strained(trial: Fit, other: Fit) -> bool:
+    """Whether a set needs nominal numbers to be off as no machine's are, and further than another set does:
+    against a loud error, the price of that is low (of a motor without torque, whose inertia is none)."""
+    return trial.pulled > max(IMPLAUSIBLE, FURTHER * other.pulled)
+
+
+def only_strained(trial: Fit, without: Fit) -> bool:
+    """Whether a set is better than another one by such numbers alone: no longer at a level at which what is
+    left does not pull them so far."""
+    if trial.pulled <= IMPLAUSIBLE:
+        return False
+    workspace = trial.workspace
+    while np.max(np.abs(workspace.deviations(trial.y))) > PLAUSIBLE:
+        workspace = workspace.at(2.0 * workspace.temper, workspace.strain)
+    return score(fit(workspace, trial.effects)) >= score(fit(workspace, without.effects))
 
 
 def _sharing_balances(trial: Fit, added: Planned) -> list[Planned]:
