@@ -167,9 +167,9 @@ def strained(trial: Fit, other: Fit) -> bool:
 def only_strained(trial: Fit, without: Fit) -> bool:
     """Whether a set is better than another one by such numbers alone: no longer at a level at which what is
     left does not pull them so far."""
-    if trial.pulled <= IMPLAUSIBLE:
-        return False
     workspace = trial.workspace
+    if trial.pulled <= IMPLAUSIBLE or not strained(trial, fit(workspace, without.effects)):
+        return False
     while np.max(np.abs(workspace.deviations(trial.y))) > PLAUSIBLE:
         workspace = workspace.at(2.0 * workspace.temper, workspace.strain)
     return score(fit(workspace, trial.effects)) >= score(fit(workspace, without.effects))
