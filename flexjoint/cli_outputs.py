@@ -127,11 +127,11 @@ def print_comparison(result: Comparison, loaded: Robot, recording: Recording, co
         highlight=False,
         soft_wrap=True,
     )
-    rows = []
+    rows, sliding = [], loaded.prismatic
     for name in sorted(result.rms, key=lambda key: -result.nrmse.get(key, 0.0)):
-        channel = name.partition(".")[0]
+        channel, _, joint = name.partition(".")
         share = number(result.nrmse[name]) if name in result.nrmse else "not moving"
-        rows.append((clean(name), f"{number(result.rms[name])} {unit_of(channel)}", share))
+        rows.append((clean(name), f"{number(result.rms[name])} {unit_of(channel, joint in sliding)}", share))
     print_table(console, ("channel", "RMS error", "NRMSE"), rows)
 
 

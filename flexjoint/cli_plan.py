@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -14,6 +15,7 @@ from flexjoint.planning import DECISIVE, Outlook, Plan
 from flexjoint.planning.limits import REACH, SECONDS
 from flexjoint.robot import Robot
 from flexjoint.terminal import Progress, no_progress
+from flexjoint.units import of_joint
 
 BEYOND = 6.0  # decimal digits of odds, beyond which a number says nothing more
 
@@ -53,8 +55,13 @@ def _print(plan: Plan, loaded: Robot, out: Path) -> None:
         limit = plan.limits
         reach = max(limit.high[i] - limit.centre[i], limit.centre[i] - limit.low[i])
         most = f" of {limit.torque[i]:.3g}" if math.isfinite(limit.torque[i]) else ""
-        cells = (f"{travel:.3g} of {reach:.3g} rad", f"{speed:.3g} of {limit.speed[i]:.3g} rad/s")
-        rows.append((name, *cells, f"{torque:.3g}{most} N m"))
+        unit = partial(of_joint, prismatic=name in loaded.prismatic)
+        cells = (
+            f"{travel:.3g} of {reach:.3g} {unit('rad')}",
+            f"{speed:.3g} of {limit.speed[i]:.3g} {unit('rad/s')}",
+            f"{torque:.3g}{most} {unit('N m')}",
+        )
+        rows.append((name, *cells))
     say(f"{plan.limits.seconds:g} s of motion for {loaded.name}; in simulation it takes at most")
     cli_outputs.print_table(console, ("joint", "travel from centre", "speed", "motor torque"), rows)
     for line in sentences(plan):

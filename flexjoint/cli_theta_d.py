@@ -21,6 +21,7 @@ from flexjoint.errors import RecordingError, RobotError, unknown
 from flexjoint.files import write_bytes
 from flexjoint.model import FlexibleJointModel
 from flexjoint.robot import Robot
+from flexjoint.units import of_joint
 
 SUFFIXES = (".csv", ".parquet")
 POSITIONS = ("q", "q_ref")  # channels that may hold the poses
@@ -125,9 +126,10 @@ def report(rest: Equilibrium, loaded: Robot, out: Path) -> None:
     """What was written, and the limits that are broken."""
     pose, k = np.unravel_index(int(np.argmax(np.abs(rest.deflection))), rest.deflection.shape)
     name = loaded.joint_names[int(k)]
+    unit = of_joint("rad", name in loaded.prismatic)
     print(
         f"wrote {out}: {len(rest.q)} poses of {len(loaded.joints)} joints; largest deflection"
-        f" {rest.deflection[pose, k]:.4g} rad ({name}, pose {pose})"
+        f" {rest.deflection[pose, k]:.4g} {unit} ({name}, pose {pose})"
     )
     for violation in rest.violations[:SHOWN]:
         print(f"beyond limits: {violation}")

@@ -28,6 +28,7 @@ from typing import Any, ClassVar
 
 from flexjoint.errors import ModelError, unknown
 from flexjoint.ops import Value
+from flexjoint.units import of_joint
 
 
 class Site(enum.Enum):
@@ -69,6 +70,10 @@ class Param:
     size: int = 1
     wraps: bool = False  # an angle, known only modulo 2 pi
     step: float = math.inf  # longest step over which the law may be taken as linear
+
+    def unit_at(self, prismatic: bool) -> str:
+        """Its unit at a joint that turns or slides; a phase is an angle at either."""
+        return self.unit if self.wraps else of_joint(self.unit, prismatic)
 
 
 @dataclass(frozen=True)

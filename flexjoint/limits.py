@@ -10,11 +10,11 @@ import numpy as np
 
 from flexjoint.errors import ModelError
 from flexjoint.model import FlexibleJointModel
+from flexjoint.units import of_joint
 
 if TYPE_CHECKING:
     from flexjoint.equilibrium import Equilibrium
 
-UNITS = {"motor torque": "N m", "reachable torque": "N m", "deflection": "rad", "joint range": "rad"}
 ROUND_OFF = 1e-12
 
 
@@ -33,10 +33,7 @@ class Violation:
     poses: np.ndarray
     values: np.ndarray
     excess: np.ndarray
-
-    @property
-    def unit(self) -> str:
-        return UNITS[self.kind]
+    unit: str
 
     @property
     def worst(self) -> int:
@@ -52,11 +49,11 @@ class Violation:
         )
 
 
-def beyond(kind: str, joint: str, values: np.ndarray, low: float, high: float) -> list[Violation]:
+def beyond(kind: str, joint: str, values: np.ndarray, low: float, high: float, unit: str) -> list[Violation]:
     """The violation of low <= values (N,) <= high; empty where there is none."""
     excess = np.maximum(values - high, low - values)
     poses = np.flatnonzero(excess > ROUND_OFF * (1.0 + np.abs(values)))
-    return [Violation(kind, joint, poses, values[poses], excess[poses])] if poses.size else []
+    return [Violation(kind, joint, poses, values[poses], excess[poses], unit)] if poses.size else []
 
 
 def checked_deflections(model: FlexibleJointModel, given: Mapping[str, float]) -> dict[str, float]:
@@ -79,14 +76,16 @@ def with_violations(
     and that their commands lead to."""
     found: list[Violation] = []
     lower, upper = model.robot.model.lowerPositionLimit, model.robot.model.upperPositionLimit
+    sliding = model.robot.prismatic
     for i, joint in enumerate(model.joints):
         name, torque, place = joint.name, joint.torque_limit, joint.idx_q
-        found += beyond("motor torque", name, rest.tau_m[:, i], -torque, torque)
+        angle, effort = (of_joint(unit, name in sliding) for unit in ("rad", "N m"))
+        found += beyond("motor torque", name, rest.tau_m[:, i], -torque, torque, effort)
         short = np.flatnonzero(given[:, i] != needed[:, i])
         if short.size:
             excess = np.abs(needed[short, i] - given[short, i])
-            found.append(Violation("reachable torque", name, short, needed[short, i], excess))
+            found.append(Violation("reachable torque", name, short, needed[short, i], excess, effort))
         limit = max_deflection.get(name, np.inf)
-        found += beyond("deflection", name, rest.deflection[:, i], -limit, limit)
-        found += beyond("joint range", name, rest.q[:, place], lower[place], upper[place])
+        found += beyond("deflection", name, rest.deflection[:, i], -limit, limit, angle)
+        found += beyond("joint range", name, rest.q[:, place], lower[place], upper[place], angle)
     return replace(rest, violations=tuple(found))

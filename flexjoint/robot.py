@@ -74,6 +74,12 @@ class Robot:
         return tuple(joint.name for joint in self.joints)
 
     @property
+    def prismatic(self) -> frozenset[str]:
+        """Names of the actuated joints that slide: their numbers are in m, N and kg (see `units`)."""
+        sliding = (joint for joint in self.joints if joint_axis(self.model, joint.name) is None)
+        return frozenset(joint.name for joint in sliding)
+
+    @property
     def gravity(self) -> np.ndarray:
         """(3,) gravity in the base frame [m/s^2]."""
         return np.array(self.model.gravity.linear)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from types import TracebackType
 from typing import Self
 
@@ -58,7 +58,7 @@ def summary(diagnosis: Diagnosis, robot: Robot, console: Console) -> None:
             name = capital(cause(finding.effect, finding.joint))
             say.line(f"{name} would be hidden by a refit of the nominal numbers.")
     _errors(say, diagnosis)
-    _open_ends(say, diagnosis)
+    _open_ends(say, diagnosis, robot.prismatic)
     if diagnosis.next_experiment:
         say.heading("Next experiment")
         say.line(sentence(capital(diagnosis.next_experiment)))
@@ -195,7 +195,7 @@ def _errors(say: _Printer, diagnosis: Diagnosis) -> None:
         say.line(f"{len(worst) - CHANNELS} more channels err less.", style="dim")
 
 
-def _open_ends(say: _Printer, diagnosis: Diagnosis) -> None:
+def _open_ends(say: _Printer, diagnosis: Diagnosis, prismatic: Collection[str]) -> None:
     said = diagnosis.verdict == "unexplained" and len(diagnosis.unexplained) == 1  # in the first sentence
     if diagnosis.unexplained and not said:
         say.heading("Remains unexplained")
@@ -213,7 +213,8 @@ def _open_ends(say: _Printer, diagnosis: Diagnosis) -> None:
     if diagnosis.within_tolerance:
         say.heading("Within the tolerance of the nominal numbers")
         sizes = (
-            f"{cause(w.effect, w.joint)} {deviation(w.effect, w.value)}" for w in diagnosis.within_tolerance
+            f"{cause(w.effect, w.joint)} {deviation(w.effect, w.value, w.joint in prismatic)}"
+            for w in diagnosis.within_tolerance
         )
         say.line(sentence(", ".join(sizes)))
     for note in diagnosis.notes:

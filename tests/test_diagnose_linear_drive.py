@@ -3,15 +3,24 @@ here by equations of its own."""
 
 from __future__ import annotations
 
+import io
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import flexjoint
+from flexjoint import report, terminal
+from flexjoint.compare import compare
 from flexjoint.diagnose import diagnose
+from flexjoint.diagnosis import Diagnosis, to_json
+from flexjoint.effect import catalogue
+from flexjoint.model import FlexibleJointModel
 from flexjoint.recording import Recording, make
 from flexjoint.robot import Robot
+from flexjoint.units import of_joint
 
 RATE, SUBSTEPS = 500, 20
 MASS, VISCOUS, COULOMB, OFFSET = 95.0, 203.0, 20.4, -3.2  # kg, N s/m, N, N
@@ -70,10 +79,19 @@ def recorded(coulomb: float, offset: float, disturbance: float = 0.0) -> Recordi
     return make(t, {("theta", "slide"): theta, ("tau_m", "slide"): forces + disturbance * other})
 
 
-def test_the_friction_of_a_linear_drive(screw: Robot) -> None:
+@pytest.fixture(scope="module")
+def rubbing() -> Recording:
+    return recorded(COULOMB, OFFSET, disturbance=0.5)
+
+
+@pytest.fixture(scope="module")
+def found(screw: Robot, rubbing: Recording) -> Diagnosis:
+    return diagnose(screw, [rubbing], refine=False)
+
+
+def test_the_friction_of_a_linear_drive(found: Diagnosis) -> None:
     """A Coulomb friction and a constant force are, where little rests, two levels of one friction. More than
     the sensors' noise is left, beside which a motor without force and a mass without inertia would do."""
-    found = diagnose(screw, [recorded(COULOMB, OFFSET, disturbance=0.5)], refine=False)
     named = {f.planned.effect.name: f for f in found.findings}
     if "asymmetric_friction" in named:
         levels = named["asymmetric_friction"].parameters
@@ -95,3 +113,39 @@ def test_nothing_is_named_on_a_linear_drive_as_its_model_has_it(screw: Robot) ->
     """Its reference jumps at 3 s, and the machine, by its own steps, is 0.05 ms early then: more than noise,
     of which a motor without force and a mass without inertia would leave nothing."""
     assert diagnose(screw, [recorded(0.0, 0.0)], refine=False).findings == ()
+
+
+def test_what_is_said_of_a_linear_drive_is_in_metres_and_newtons(
+    screw: Robot, rubbing: Recording, found: Diagnosis
+) -> None:
+    units = {p["unit"] for f in to_json(found)["findings"] for p in f["parameters"].values()}
+    assert units == {"N"}
+    said = io.StringIO()
+    terminal.summary(found, screw, Console(file=said, width=200))
+    page = report.render(found, screw, rubbing, before=compare(rubbing, FlexibleJointModel(screw)))
+    text = re.sub(r"<style.*?</style>|<svg.*?</svg>|base64,[^\"]*|<[^>]*>", "", page, flags=re.DOTALL)
+    text = re.sub(r"phase \S+ rad|SI, radians", "", text)
+    for words in (said.getvalue(), text):
+        assert re.search(r"\d N\b", words) and not re.search(r"\bN m\b|\brad\b", words), words
+
+
+@pytest.mark.parametrize(
+    ("turning", "sliding"),
+    [
+        ("rad", "m"),
+        ("rad/s²", "m/s²"),
+        ("N m", "N"),
+        ("N m s/rad", "N s/m"),
+        ("N m s^2/rad^2", "N s^2/m^2"),
+        ("kg m^2", "kg"),
+        ("kg", "kg"),
+        ("1", "1"),
+    ],
+)
+def test_units_of_a_joint_that_slides(turning: str, sliding: str) -> None:
+    assert (of_joint(turning, False), of_joint(turning, True)) == (turning, sliding)
+
+
+def test_a_phase_is_an_angle_at_any_joint() -> None:
+    ripple = {p.name: p.unit_at(True) for p in catalogue()["cogging"].params}
+    assert (ripple["amplitude"], ripple["phase"]) == ("N", "rad")

@@ -16,7 +16,7 @@ from flexjoint import terminal
 from flexjoint.effect import plan
 from flexjoint.robot import Robot
 
-ARM = cast(Robot, SimpleNamespace(name="arm2"))  # a summary only names the robot
+ARM = cast(Robot, SimpleNamespace(name="arm2", prismatic=frozenset()))  # what a summary asks a robot
 NRMSE = {
     f"{channel}.{joint}": 0.2
     for channel in ("q", "dq", "theta", "dtheta", "tau_t")

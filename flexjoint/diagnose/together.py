@@ -227,8 +227,9 @@ def _notes(best: _Joint) -> tuple[str, ...]:
         shown = [f"{x:.3g}" for x in own]
         if max(apart) > DISAGREE and not slot.param.wraps and len(set(shown)) > 1:
             each = ", ".join(shown)
-            name = f"{slot.param.name} of {best.effects[slot.effect]}"
-            notes.append(f"the recordings disagree on {name}: {each} {slot.param.unit}".rstrip())
+            planned = best.effects[slot.effect]
+            unit = slot.param.unit_at(planned.joint in best.fits[0].workspace.robot.prismatic)
+            notes.append(f"the recordings disagree on {slot.param.name} of {planned}: {each} {unit}".rstrip())
     return tuple(notes)
 
 

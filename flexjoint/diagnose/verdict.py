@@ -151,6 +151,7 @@ def findings(
         return ()
     errors = standard_errors(best)
     completeness = min(1.0, explained + 0.02)
+    sliding = best.workspace.robot.prismatic
     out: list[Finding] = []
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
@@ -164,7 +165,9 @@ def findings(
                 planned.effect.name,
                 planned.joint,
                 preferred(best, planned, rivals, tied) * completeness * believed,
-                _parameters(planned, (spread or {}).get(planned.key, errors[k]), listed),
+                _parameters(
+                    planned, (spread or {}).get(planned.key, errors[k]), listed, planned.joint in sliding
+                ),
                 None if planned.since is None else planned.since + best.workspace.readings.start,
                 gains[k],
                 str(planned.effect.kind),
@@ -229,20 +232,21 @@ def standard_errors(best: Fit) -> list[Errors]:
 
 
 def _parameters(
-    planned: Planned, spread: dict[str, list[float]], listed: Planned | None
+    planned: Planned, spread: dict[str, list[float]], listed: Planned | None, prismatic: bool
 ) -> dict[str, Fitted | str]:
     out: dict[str, Fitted | str] = {}
     for param in planned.effect.params:
         value: Any = planned.values[param.name]
+        unit = param.unit_at(prismatic)
         if listed is not None and param.size == 1:
             value = value - listed.values[param.name]
         std = spread.get(param.name, [0.0])
         numbers = [value] if param.size == 1 else list(value)
         at_bound = any(np.isclose(v, (param.low, param.high), rtol=1e-9).any() for v in numbers)
         if param.size == 1:
-            out[param.name] = Fitted(float(value), std[0], param.unit, at_bound)
+            out[param.name] = Fitted(float(value), std[0], unit, at_bound)
         else:
-            out[param.name] = Fitted(tuple(float(v) for v in value), tuple(std), param.unit, at_bound)
+            out[param.name] = Fitted(tuple(float(v) for v in value), tuple(std), unit, at_bound)
     for word in planned.effect.words:
         chosen = planned.values.get(word.name)
         if chosen is not None:

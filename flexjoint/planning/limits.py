@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from flexjoint.errors import FlexJointError
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
+from flexjoint.units import of_joint
 
 SECONDS = 16.0  # of motion
 REACH = 0.6  # rad, to either side of the centre: nothing is known of what stands around the robot
@@ -63,8 +65,9 @@ def limits_of(
         named = robot.file.initial.get(joint.name)
         centre = named if named is not None else 0.0 if low < 0.0 < high else 0.5 * (low + high)
         if not low <= centre <= high:
+            unit = of_joint("rad", joint.name in robot.prismatic)
             raise FlexJointError(
-                f"initial position {centre:g} rad of joint {joint.name} lies outside its range {low:g} to"
+                f"initial position {centre:g} {unit} of joint {joint.name} lies outside its range {low:g} to"
                 f" {high:g}; change one of them"
             )
         fastest = float(robot.model.velocityLimit[joint.idx_v])
@@ -93,13 +96,15 @@ def exceeded(robot: Robot, limits: Limits, true: Recording) -> dict[str, str]:
     """What a simulated motion exceeds, by joint; empty when it keeps to the limits. The command has to stay
     below the torque limit, where it is clipped."""
     found: dict[str, str] = {}
+    sliding = robot.prismatic
     for i, joint in enumerate(robot.joints):
         q, dq = true.get("q", joint.name), true.get("dq", joint.name)
+        unit = partial(of_joint, prismatic=joint.name in sliding)
         torque = float(np.max(np.abs(true.get("tau_m", joint.name))))
         if q.min() < limits.low[i] or q.max() > limits.high[i]:
-            found[joint.name] = f"position {q.min():.3g} to {q.max():.3g} rad"
+            found[joint.name] = f"position {q.min():.3g} to {q.max():.3g} {unit('rad')}"
         elif np.max(np.abs(dq)) > limits.speed[i]:
-            found[joint.name] = f"speed {np.max(np.abs(dq)):.3g} rad/s"
+            found[joint.name] = f"speed {np.max(np.abs(dq)):.3g} {unit('rad/s')}"
         elif torque >= limits.torque[i]:
-            found[joint.name] = f"torque {torque:.3g} N m"
+            found[joint.name] = f"torque {torque:.3g} {unit('N m')}"
     return found

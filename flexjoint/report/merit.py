@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from flexjoint.diagnosis import Gain
-from flexjoint.report.wording import unit_of
 
 MISSING = math.nan
 
@@ -18,7 +17,6 @@ class ChannelError:
 
     channel: str
     joint: str
-    unit: str
     rms_before: float
     rms_after: float
     before: float  # NRMSE
@@ -57,7 +55,6 @@ def channel_errors(gain: Gain | None) -> tuple[ChannelError, ...]:
             ChannelError(
                 channel,
                 joint,
-                unit_of(channel),
                 rms.get(key, MISSING),
                 rms_after.get(key, MISSING),
                 nrmse[key],

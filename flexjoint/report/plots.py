@@ -71,11 +71,12 @@ def traces(
     before: np.ndarray,
     after: np.ndarray | None,
     channel: str,
+    prismatic: bool,
     alt: str,
 ) -> Image:
     """A measured signal with the simulations on it, each (N,) at `time` [s]."""
     with _styled():
-        figure, axes = _axes("time [s]", _label(channel))
+        figure, axes = _axes("time [s]", _label(channel, prismatic))
         axes.plot(*series.thinned(time, measured, BUCKETS), color=MEASURED, linewidth=2.8)
         axes.plot(*series.thinned(time, before, BUCKETS), color=BEFORE, dashes=DASHES)
         if after is not None:
@@ -91,11 +92,12 @@ def errors(
     channel: str,
     marked: tuple[float, float],
     since: float | None,
+    prismatic: bool,
     alt: str,
 ) -> Image:
     """Simulated minus measured over the whole recording, each (N,); the excerpt is shaded."""
     with _styled():
-        unit = unit_of(channel)
+        unit = unit_of(channel, prismatic)
         figure, axes = _axes("time [s]", f"error of {channel}" + (f" [{unit}]" if unit else ""))
         axes.axvspan(*marked, color="#e4e7eb", linewidth=0)
         axes.axhline(0.0, color=RULE, linewidth=0.8)
@@ -109,11 +111,17 @@ def errors(
 
 
 def dependence(
-    x: np.ndarray, before: np.ndarray, after: np.ndarray | None, signal: str, noise: float, alt: str
+    x: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray | None,
+    signal: str,
+    noise: float,
+    prismatic: bool,
+    alt: str,
 ) -> Image:
-    """A balance's residual [N m] over a signal, each (N,): samples, binned median, middle half."""
+    """A balance's residual over a signal, each (N,): samples, binned median, middle half."""
     with _styled():
-        figure, axes = _axes(_label(signal), "residual [N m]")
+        figure, axes = _axes(_label(signal, prismatic), f"residual [{unit_of('tau_t', prismatic)}]")
         axes.axhline(0.0, color=RULE, linewidth=0.8)
         for level in (-2 * noise, 2 * noise):
             axes.axhline(level, color="#52606d", linewidth=0.7, linestyle=(0, (1, 3)))
@@ -150,8 +158,8 @@ def formula(latex: str) -> Image | None:
             return None
 
 
-def _label(signal: str) -> str:
-    unit = unit_of(signal)
+def _label(signal: str, prismatic: bool) -> str:
+    unit = unit_of(signal, prismatic)
     return signal_name(signal) + (f" [{unit}]" if unit else "")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from flexjoint.diagnosis import Finding, Fitted
 from flexjoint.effect import Kind, catalogue
 from flexjoint.recording import UNITS
+from flexjoint.units import of_joint
 
 SIGNALS: Mapping[str, tuple[str, str]] = {
     "t": ("time", "s"),
@@ -61,9 +62,9 @@ def listed(items: Iterable[str], last: str = "and") -> str:
     return f"{', '.join(names)} {last} {end}" if names else end
 
 
-def unit_of(signal: str) -> str:
-    """The unit of a channel or a derived signal; empty when unknown."""
-    return SIGNALS[signal][1] if signal in SIGNALS else UNITS.get(signal, "")
+def unit_of(signal: str, prismatic: bool = False) -> str:
+    """The unit of a channel or a derived signal of a joint; empty when unknown."""
+    return of_joint(SIGNALS[signal][1] if signal in SIGNALS else UNITS.get(signal, ""), prismatic)
 
 
 def signal_name(signal: str) -> str:
@@ -126,10 +127,10 @@ def parameters(finding: Finding) -> str:
     return ", ".join(f"{clean(name)} {fitted(value)}" for name, value in finding.parameters.items())
 
 
-def values(effect: str, given: Mapping[str, Any]) -> str:
+def values(effect: str, given: Mapping[str, Any], prismatic: bool = False) -> str:
     """Plain parameter values of an effect in one line, with the units that the catalogue states."""
     known = catalogue().get(effect)
-    units = {p.name: p.unit for p in known.params} if known else {}
+    units = {p.name: p.unit_at(prismatic) for p in known.params} if known else {}
     parts = []
     for name, value in given.items():
         if value is None:
@@ -142,12 +143,12 @@ def values(effect: str, given: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def deviation(effect: str, value: float) -> str:
+def deviation(effect: str, value: float, prismatic: bool = False) -> str:
     """The size of an effect: a scale reads as a percentage, anything else in the unit of its amplitude."""
     known = catalogue().get(effect)
     if known is not None and known.kind == Kind.PARAMETER:
         return f"{100 * value:+.2g}%"
-    return with_unit(number(value), known.params[0].unit if known and known.params else "")
+    return with_unit(number(value), known.params[0].unit_at(prismatic) if known and known.params else "")
 
 
 def onset(since: float | None) -> str:

@@ -66,21 +66,21 @@ def build(material: Material) -> ComparedSection | None:
         gain.held_out,
         f"{gain.horizon:g} s",
         named,
-        tuple(_row(error, named) for error in worst[:ROWS]),
+        tuple(_row(error, named, error.joint in material.robot.prismatic) for error in worst[:ROWS]),
         max(0, len(errors) - ROWS),
         _joints(material, errors),
         any(finding.since is not None for finding in material.diagnosis.findings),
     )
 
 
-def _row(error: merit.ChannelError, named: bool) -> ErrorRow:
+def _row(error: merit.ChannelError, named: bool, prismatic: bool) -> ErrorRow:
     rms = number(error.rms_before)
     if named and math.isfinite(error.rms_after):
         rms += f" → {number(error.rms_after)}"
     return ErrorRow(
         clean(error.joint),
         error.channel,
-        with_unit(rms, error.unit),
+        with_unit(rms, unit_of(error.channel, prismatic)),
         number(error.before),
         number(error.after),
         number(error.floor),
@@ -114,12 +114,13 @@ def _joint(material: Material, before: Comparison, joint: str, channels: list[st
     measured = series.on_times(material.recording, worst, joint, time)
     start, stop = series.excerpt(time, before.simulated[worst, joint] - measured, EXCERPT)
     inside = (time >= start) & (time <= stop)
+    prismatic = joint in material.robot.prismatic
     pairs = []
     for channel in channels:
         measured = series.on_times(material.recording, channel, joint, time)
         simulated = before.simulated[channel, joint]
         improved = _after(material, channel, joint, time)
-        name, unit = signal_name(channel), unit_of(channel)
+        name, unit = signal_name(channel), unit_of(channel, prismatic)
         rms = with_unit(number(before.rms.get(f"{channel}.{joint}")), unit)
         pairs.append(
             ChannelPlots(
@@ -130,6 +131,7 @@ def _joint(material: Material, before: Comparison, joint: str, channels: list[st
                     simulated[inside],
                     None if improved is None else improved[inside],
                     channel,
+                    prismatic,
                     f"{name} of {clean(joint)}, measured and simulated, from {start:.2f} to {stop:.2f} s",
                 ),
                 plots.errors(
@@ -139,6 +141,7 @@ def _joint(material: Material, before: Comparison, joint: str, channels: list[st
                     channel,
                     (start, stop),
                     _onset(material, joint),
+                    prismatic,
                     f"Error of the {name} of {clean(joint)} over the whole recording; RMS {rms} before",
                 ),
             )

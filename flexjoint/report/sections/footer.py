@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import PurePath
 
 from flexjoint.report.material import Material
-from flexjoint.report.wording import clean, number, percent
+from flexjoint.report.wording import clean, number, percent, unit_of, with_unit
 
 NOISE_ROWS = 30
 
@@ -37,13 +37,18 @@ class FooterSection:
 
 def build(material: Material) -> FooterSection:
     recording = PurePath(material.recording.name.replace("\\", "/")).name or material.recording.name
+    sliding = material.robot.prismatic
     return FooterSection(
         clean(material.robot.name),
         clean(recording),
         installed_version(),
         tuple(_facts(material)),
         tuple(
-            Noise(clean(view.joint), clean(view.balance), f"{number(view.noise)} N m")
+            Noise(
+                clean(view.joint),
+                clean(view.balance),
+                with_unit(number(view.noise), unit_of("tau_t", view.joint in sliding)),
+            )
             for view in material.diagnosis.residuals[:NOISE_ROWS]
         ),
     )

@@ -57,6 +57,7 @@ class LimitsSection:
 def build(material: Material) -> LimitsSection | None:
     """None where nothing is open; what a refused recording needs stands in the verdict."""
     diagnosis = material.diagnosis
+    sliding = material.robot.prismatic
     refused = diagnosis.verdict == "refused"
     section = LimitsSection(
         tuple(
@@ -70,7 +71,7 @@ def build(material: Material) -> LimitsSection | None:
         ),
         _untested(diagnosis, len(material.robot.joints)),
         tuple(
-            Deviation(cause(w.effect, w.joint), deviation(w.effect, w.value))
+            Deviation(cause(w.effect, w.joint), deviation(w.effect, w.value, w.joint in sliding))
             for w in diagnosis.within_tolerance
         ),
         "" if refused else sentence(capital(diagnosis.next_experiment)),

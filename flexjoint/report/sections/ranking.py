@@ -31,12 +31,13 @@ def build(material: Material) -> RankingSection | None:
     ranked = sorted(diagnosis.ranking, key=lambda r: -r.removes)
     if not ranked:
         return None
+    sliding = material.robot.prismatic
     named = {(f.effect, f.joint) for f in diagnosis.findings}
     tied = {(tie.effect, tie.joint) for f in diagnosis.findings for tie in f.indistinguishable}
     bars = tuple(
         Bar(
             cause(r.effect, r.joint),
-            values(r.effect, r.values),
+            values(r.effect, r.values, r.joint in sliding),
             percent(r.removes),
             min(max(r.removes, 0.0), 1.0),
             (r.effect, r.joint) in named,

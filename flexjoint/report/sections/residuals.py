@@ -10,7 +10,7 @@ import numpy as np
 from flexjoint.diagnosis import Diagnosis, ResidualView
 from flexjoint.report import plots, series
 from flexjoint.report.material import Material
-from flexjoint.report.wording import clean, number, percent, signal_name
+from flexjoint.report.wording import clean, number, percent, signal_name, unit_of
 
 VIEWS, AXES = 4, 4
 NOISE_ONLY = 1.2  # mean square over the predicted noise's up to which a residual shows nothing
@@ -47,6 +47,7 @@ class View:
     before: str
     after: str
     noise: str
+    unit: str
     axes: tuple[AxisPlot, ...]
 
 
@@ -62,7 +63,9 @@ def build(material: Material) -> ResidualsSection | None:
     if not chosen:
         return None
     two = bool(diagnosis.findings)
-    return ResidualsSection(tuple(_view(view, _preferred(view, diagnosis), two) for view in chosen), two)
+    sliding = material.robot.prismatic
+    views = (_view(view, _preferred(view, diagnosis), two, view.joint in sliding) for view in chosen)
+    return ResidualsSection(tuple(views), two)
 
 
 def _chosen(diagnosis: Diagnosis) -> list[ResidualView]:
@@ -98,7 +101,7 @@ def _preferred(view: ResidualView, diagnosis: Diagnosis) -> list[str]:
     return list(dict.fromkeys([*left, *named]))
 
 
-def _view(view: ResidualView, preferred: list[str], two: bool) -> View:
+def _view(view: ResidualView, preferred: list[str], two: bool, prismatic: bool) -> View:
     signals = {**view.signals, "t": view.time}
     shares = {name: series.dependence(values, view.before) for name, values in signals.items()}
     telling = sorted(signals, key=lambda name: (-shares[name], name))
@@ -117,6 +120,7 @@ def _view(view: ResidualView, preferred: list[str], two: bool) -> View:
             view.after if two else None,
             name,
             view.noise,
+            prismatic,
             f"Residual of the {clean(view.balance)} balance of {clean(view.joint)} over {signal_name(name)}",
         )
         plotted.append(AxisPlot(signal_name(name), image, share))
@@ -127,5 +131,6 @@ def _view(view: ResidualView, preferred: list[str], two: bool) -> View:
         number(_rms(view.before)),
         number(_rms(view.after)),
         number(view.noise),
+        unit_of("tau_t", prismatic),
         tuple(plotted),
     )
