@@ -9,20 +9,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnose_cases import summary
 from rich.console import Console
 
 import flexjoint
 from flexjoint import report, terminal
 from flexjoint.compare import compare
 from flexjoint.diagnose import diagnose
+from flexjoint.diagnose.balances import balances_of
+from flexjoint.diagnose.deviations import judged_energy
+from flexjoint.diagnose.fit import fit
+from flexjoint.diagnose.workspace import Workspace
+from flexjoint.diagnose.worth import PRICE, price
 from flexjoint.diagnosis import Diagnosis, to_json
-from flexjoint.effect import catalogue
+from flexjoint.effect import catalogue, plan
 from flexjoint.model import FlexibleJointModel
 from flexjoint.recording import Recording, make
 from flexjoint.robot import Robot
 from flexjoint.units import of_joint
 
 RATE, SUBSTEPS = 500, 20
+FRICTIONS = {"motor_coulomb_friction", "asymmetric_friction", "torque_offset"}
 MASS, VISCOUS, COULOMB, OFFSET = 95.0, 203.0, 20.4, -3.2  # kg, N s/m, N, N
 URDF = """
 <robot name="screw">
@@ -48,20 +55,39 @@ joints:
 """
 
 
-@pytest.fixture(scope="module")
-def screw(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    folder: Path = tmp_path_factory.mktemp("screw")
+def robot_in(folder: Path, inertial: float) -> Robot:
     (folder / "screw.urdf").write_text(URDF)
-    (folder / "screw.yaml").write_text(YAML)
+    (folder / "screw.yaml").write_text(YAML.replace("inertial: 0.1", f"inertial: {inertial:g}"))
     return flexjoint.load_robot(str(folder / "screw.yaml"))
 
 
-def recorded(coulomb: float, offset: float, disturbance: float = 0.0) -> Recording:
+@pytest.fixture(scope="module")
+def screw(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return robot_in(tmp_path_factory.mktemp("screw"), inertial=0.1)
+
+
+@pytest.fixture(scope="module")
+def sure(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    """The robot with a mass that is better known."""
+    return robot_in(tmp_path_factory.mktemp("sure"), inertial=0.05)
+
+
+def recorded(
+    coulomb: float,
+    offset: float,
+    disturbance: float = 0.0,
+    mass: float = MASS,
+    seed: int = 5,
+    jump: float = 1.0,
+) -> Recording:
     """A table that goes to and fro under a PD, as its motor's encoder sees it: 1 um steps, 1 um of noise. The
-    recorded command differs from the force by a `disturbance` [N], new at each sample."""
+    recorded command differs from the force by a `disturbance` [N], new at each sample. A second motion comes
+    in at 3 s, at once or (with no `jump`) by and by."""
     t = np.arange(0.0, 8.0, 1.0 / RATE)
     goal = 0.1 * (1 - np.cos(2 * np.pi * t / 3)) * (0.5 + 0.5 * np.sin(2 * np.pi * t / 8) ** 2)
-    goal += 0.01 * np.sin(2 * np.pi * 1.3 * t) * (t > 3.0)
+    late = np.clip((t - 3.0) / 0.5, 0.0, 1.0)
+    share = jump * (t > 3.0) + (1.0 - jump) * late**2 * (3.0 - 2.0 * late)
+    goal += 0.01 * np.sin(2 * np.pi * 1.3 * t) * share
     goal_speed = np.gradient(goal, t)
     place, speed, h = 0.0, 0.0, 1.0 / RATE / SUBSTEPS
     places, forces = np.empty_like(t), np.empty_like(t)
@@ -71,10 +97,11 @@ def recorded(coulomb: float, offset: float, disturbance: float = 0.0) -> Recordi
             pull = forces[k] + offset - VISCOUS * speed
             if speed == 0.0 and abs(pull) <= coulomb:
                 continue
-            after = speed + h / MASS * (pull - coulomb * np.sign(speed or pull))
-            speed = 0.0 if after * speed < 0.0 else after  # it stops before it turns
-            place += h * speed
-    noise, other = np.random.default_rng(5).normal(size=(2, t.size))
+            after = speed + h / mass * (pull - coulomb * np.sign(speed or pull))
+            after = 0.0 if after * speed < 0.0 else after  # it stops before it turns
+            place += 0.5 * h * (speed + after)
+            speed = after
+    noise, other = np.random.default_rng(seed).normal(size=(2, t.size))
     theta = np.round(places / 1e-6 + noise) * 1e-6
     return make(t, {("theta", "slide"): theta, ("tau_m", "slide"): forces + disturbance * other})
 
@@ -149,3 +176,38 @@ def test_units_of_a_joint_that_slides(turning: str, sliding: str) -> None:
 def test_a_phase_is_an_angle_at_any_joint() -> None:
     ripple = {p.name: p.unit_at(True) for p in catalogue()["cogging"].params}
     assert (ripple["amplitude"], ripple["phase"]) == ("N", "rad")
+
+
+def test_less_of_everything_is_no_better(screw: Robot) -> None:
+    """An equation times 0.6 (torque, inertia and frictions) is as wrong as before."""
+    told = plan("motor_coulomb_friction", "slide", {"level": COULOMB})
+    less = [
+        plan("torque_gain", "slide", {"gain": -0.4}),
+        plan("payload", "slide", {"mass": -0.4 * 60.0}),
+        plan("motor_inertia", "slide", {"scale": -0.4}),
+        plan("motor_viscous_friction", "slide", {"coefficient": -0.4 * 200.0}),
+        told.with_values({"level": 0.6 * COULOMB}),
+    ]
+    workspace = Workspace(balances_of(screw, recorded(COULOMB, 0.0, disturbance=5.0)))
+    workspace = workspace.tempered(workspace.residual([told]))
+    all_of_it, of_less = (judged_energy(workspace, workspace.residual(e), e) for e in ([told], less))
+    # 1.17 (less inertia also makes less noise, beside which what is left is more), and not 0.36
+    assert all_of_it < of_less < 1.25 * all_of_it
+
+
+def test_a_mass_on_a_linear_drive(sure: Robot) -> None:
+    """It is an inertia of the motor as well, and, with a viscous friction that is off, nearly less torque and
+    less friction, too: that alone is not its name."""
+    result = diagnose(sure, [recorded(COULOMB, OFFSET, mass=MASS + 45.0, jump=0.0)], refine=False)
+    named = {f.effect for f in result.findings}
+    cause = {"payload", "motor_inertia"} & named
+    assert cause and named <= {*cause, *FRICTIONS}, summary(result)
+
+
+def test_where_a_payload_sits_that_only_moves_straight_costs_nothing(sure: Robot) -> None:
+    workspace = Workspace(balances_of(sure, recorded(0.0, 0.0, mass=MASS + 20.0)))
+    load, inertia = (
+        fit(workspace, [plan(name, "slide", {number: value})])
+        for name, number, value in (("payload", "mass", 20.0), ("motor_coulomb_friction", "level", 1.0))
+    )
+    assert price(load) == price(inertia) == PRICE

@@ -104,7 +104,7 @@ class Chains:
         q, theta, q_hat, theta_hat = readings.q, readings.theta, readings.q_hat, readings.theta_hat
         torque, torque_hat = base.torque, base.torque_hat
         if at[Site.COMMAND]:
-            torque = self._command(i, at[Site.COMMAND])
+            torque = self.command(i, at[Site.COMMAND])
             torque_hat = self._filtered(torque)
 
         # what no effect touches is the same in every chain
@@ -188,7 +188,8 @@ class Chains:
         q = readings["theta"] if rigid else readings["q"]
         return q, readings["theta"], readings["tau_t"]
 
-    def _command(self, i: int, effects: Sequence[Planned]) -> np.ndarray:
+    def command(self, i: int, effects: Sequence[Planned]) -> np.ndarray:
+        """(N,) what effects of the command make of joint i's torque."""
         base = self.base(i)
         torque = base.torque
         signals = Signals(t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta)

@@ -12,13 +12,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexjoint.diagnose import whitening
+from flexjoint.diagnose.balances import MOTOR
 from flexjoint.diagnose.nuisance import as_effects
 from flexjoint.diagnose.workspace import REMEMBERED, Workspace
-from flexjoint.effect import Planned
+from flexjoint.effect import Planned, Site
 
 SETTLING = 12  # Gauss-Newton steps of the nominal numbers at most, until what they explain changes by less
 SETTLED = 0.1  # than this energy (beside a stiffness off by a fifth, each step leaves a fifth of an offset)
 NOISY = 3.0  # temper above which sensor noise no longer decides anything
+LEAST_SIZE = 0.01  # of a command, that a motor without torque has, too
 FAR_OFF = 2.5  # prior deviations beyond which a nominal number is taken out of its linear neighbourhood
 
 
@@ -49,7 +51,50 @@ def relinearised(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray
 
 def judged_energy(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
     """Q(y, y), evaluated in full (noise and all) and whitened for the noise of the model that it implies,
-    where that is another than the nominal one's."""
+    where that is another than the nominal one's; what is left beyond noise, in units of the command."""
+    return _evaluated(workspace, y, effects) + _shrunk(workspace, y, effects)
+
+
+def _shrunk(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
+    """Energy by which effects of the command shrink what is left beyond noise in the motors' balances: with
+    less torque, less inertia and less friction an equation is as wrong as before, in smaller numbers. A gain
+    of zero would leave nothing of it (the trivial solution of a homogeneous regression)."""
+    sizes = _command_sizes(workspace, effects)
+    if not sizes:
+        return 0.0
+    rows = len(workspace.balances.rows)
+    left = (workspace.rest(y) * workspace.weights).reshape(rows, -1)
+    noise = workspace.freedom / rows
+    total = 0.0
+    for row, size in sizes.items():
+        beyond = max(0.0, float(left[row] @ left[row]) - noise / float(workspace.temper[row]))
+        total += beyond * (1.0 / size**2 - 1.0)
+    return total
+
+
+def _command_sizes(workspace: Workspace, effects: Sequence[Planned]) -> dict[int, float]:
+    """By row, of the motors' balances whose command effects scale: the size of what changes of the torque,
+    in that of the nominal model; at least LEAST_SIZE."""
+    balances, used = workspace.balances, workspace.readings.valid
+    every = workspace.with_nominal(effects)
+    sizes = {}
+    for r, row in enumerate(balances.rows):
+        if row.balance != MOTOR:
+            continue
+        name = workspace.robot.joints[row.joint].name
+        here, nominal = (
+            [e for e in of if e.joint == name and e.effect.site is Site.COMMAND]
+            for of in (every, workspace.nominal)
+        )
+        if [e.identity for e in here] == [e.identity for e in nominal]:
+            continue
+        told, was = (float(np.std(balances.chains.command(row.joint, of)[used])) for of in (here, nominal))
+        if was > 0.0:
+            sizes[r] = max(told / was, LEAST_SIZE)
+    return sizes
+
+
+def _evaluated(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
     pull = workspace.deviations(y)
     far = np.max(workspace.temper) < NOISY and np.max(np.abs(pull), initial=0.0) > FAR_OFF
     if not far and not any(whitening.changes_noise(e) for e in effects):

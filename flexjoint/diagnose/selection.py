@@ -177,9 +177,7 @@ def choose(fits: Sequence[Fit]) -> Fit:
     best = min(fits, key=score)
     bare = best.workspace.energy(best.workspace.residual([]))
     close = score(best) + granted([best], bare - best.energy)
-    return min(
-        (f for f in fits if score(f) <= close), key=lambda f: (price(f.workspace, f.effects), score(f))
-    )
+    return min((f for f in fits if score(f) <= close), key=lambda f: (price(f), score(f)))
 
 
 def granted(fits: Sequence[Fit], explained: float) -> float:

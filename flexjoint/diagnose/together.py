@@ -53,7 +53,7 @@ class _Joint:
 
     @property
     def price(self) -> float:
-        return price(self.fits[0].workspace, self.effects)
+        return price(self.fits[0])
 
     @property
     def score(self) -> float:

@@ -7,6 +7,7 @@ nothing but noise), and removes more than the method's own error in the balances
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -47,13 +48,16 @@ FURTHER = 2.0  # times the deviations of one set's nominal numbers, up to which 
 LEVEL_ROUNDS = 5
 
 
-def price(workspace: Workspace, effects: Sequence[Planned]) -> float:
-    """Energy that effects must earn, chance among joints and missing sensors aside."""
+def price(result: Fit) -> float:
+    """Energy that a set of effects must earn, chance among joints and missing sensors aside. A number without
+    a trace explains nothing (of a payload that only moves straight, where it sits)."""
+    numbers = Counter(
+        slot.effect for slot, tangent in zip(result.slots, result.tangents, strict=True) if np.any(tangent)
+    )
     total = 0.0
-    for e in effects:
-        numbers = sum(p.size for p in e.effect.params) + (e.since is not None)
-        first = PRICE if own_number(workspace, e) is None else PRICE_OFF
-        total += first + PRICE_NUMBER * (numbers - 1)
+    for k, e in enumerate(result.effects):
+        first = PRICE if own_number(result.workspace, e) is None else PRICE_OFF
+        total += first + PRICE_NUMBER * max(0, numbers[k] + (e.since is not None) - 1)
     return total
 
 
@@ -62,7 +66,7 @@ def score(result: Fit) -> float:
     blind = BLIND if result.workspace.motion.missing else 0.0
     # of so many more candidates, chance favours one by so much more
     chance = 2.0 * float(np.log(len(result.workspace.robot.joints)))
-    return result.energy + price(result.workspace, result.effects) + (blind + chance) * len(result.effects)
+    return result.energy + price(result) + (blind + chance) * len(result.effects)
 
 
 def leftover(result: Fit) -> float:
@@ -137,13 +141,23 @@ def shown(workspace: Workspace, planned: Planned) -> float:
 
 
 def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
-    """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error."""
+    """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error: at the
+    level of `trial`, or, where nominal numbers as no machine has them would do instead, where they do not."""
+    if _worthwhile(trial, without, added):
+        return True
+    if not strained(without, trial):
+        return False
+    there, other = (fit(plausible_level(without), f.effects) for f in (trial, without))
+    return _worthwhile(there, other, next(e for e in there.effects if e.key == added.key))
+
+
+def _worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     if degenerate(trial.workspace, added) or score(trial) >= score(without):
         return False
     if shared_by_tolerances(trial, without, added):
         return False
     earned, left = explained(trial, without, added), leftover(trial)
-    paid = price(trial.workspace, trial.effects) - price(trial.workspace, without.effects)
+    paid = price(trial) - price(without)
     if earned - paid < LEFTOVER * left:
         return False
     beside = _sharing_balances(trial, added)
@@ -167,12 +181,18 @@ def strained(trial: Fit, other: Fit) -> bool:
 def only_strained(trial: Fit, without: Fit) -> bool:
     """Whether a set is better than another one by such numbers alone: no longer at a level at which what is
     left does not pull them so far."""
-    workspace = trial.workspace
-    if trial.pulled <= IMPLAUSIBLE or not strained(trial, fit(workspace, without.effects)):
+    if trial.pulled <= IMPLAUSIBLE or not strained(trial, fit(trial.workspace, without.effects)):
         return False
-    while np.max(np.abs(workspace.deviations(trial.y))) > PLAUSIBLE:
+    there, other = (fit(plausible_level(trial), f.effects) for f in (trial, without))
+    return score(there) >= score(other)
+
+
+def plausible_level(result: Fit) -> Workspace:
+    """The lowest level at which a fit's leftovers do not pull nominal numbers further than machines' are."""
+    workspace = result.workspace
+    while np.max(np.abs(workspace.deviations(result.y)), initial=0.0) > PLAUSIBLE:
         workspace = workspace.at(2.0 * workspace.temper, workspace.strain)
-    return score(fit(workspace, trial.effects)) >= score(fit(workspace, without.effects))
+    return workspace
 
 
 def _sharing_balances(trial: Fit, added: Planned) -> list[Planned]:
