@@ -7,11 +7,12 @@ OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test study lint docs bench pictures clean
+.PHONY: help demo test test-all study lint docs bench pictures clean
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
-	@echo "make test   style, types and all tests"
+	@echo "make test   style, types and tests: some fifteen minutes at most"
+	@echo "make test-all   these and all long tests, which diagnose a lot; what .ci/run runs: half an hour or more"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style and types only"
 	@echo "make docs   regenerate docs/effects.md"
@@ -23,8 +24,13 @@ demo: .venv/.demo
 	$(BIN)/flexjoint demo
 
 # a file's tests share what they plant and build; in order, so that the long ones do not come last
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not thorough"
+
+test-all: lint
+	$(PYTEST)
 
 # SHARD=1/2 and SHARD=2/2 share the work; STUDY is the folder that holds what is done
 STUDY ?= study-results

@@ -9,6 +9,7 @@ from functools import cache
 import pytest
 from diagnose_cases import Case, as_recording, found_in, nominal, summary
 from planting import BEYOND, CATALOGUE, Planted
+from thorough import sample, thorough
 
 from flexjoint.diagnose import diagnose
 from flexjoint.diagnosis import Diagnosis, to_json
@@ -129,7 +130,7 @@ def test_every_effect_that_came_later_is_one_of_the_catalogue() -> None:
     assert set(BEYOND) <= set(catalogue())
 
 
-@pytest.mark.parametrize("single", SINGLES, ids=lambda s: s.name)
+@pytest.mark.parametrize("single", sample(SINGLES, one_in=3), ids=lambda s: s.name)
 def test_a_planted_cause_is_named_and_measured(single: Single) -> None:
     result, cause = diagnosis(single.case, single.name), single.cause
     told = summary(result)
@@ -155,7 +156,7 @@ def test_a_planted_cause_is_named_and_measured(single: Single) -> None:
             assert finding.parameters[word] == cause.word(word), told
 
 
-@pytest.mark.parametrize("case", HEALTHY, ids=lambda c: c.name)
+@pytest.mark.parametrize("case", sample(HEALTHY, one_in=3), ids=lambda c: c.name)
 def test_a_healthy_machine_is_called_healthy(case: Case) -> None:
     result = diagnosis(case)
     told = summary(result)
@@ -167,19 +168,23 @@ def test_a_healthy_machine_is_called_healthy(case: Case) -> None:
 
 @pytest.mark.parametrize(
     ("case", "cause", "main"),
-    [
-        (Case("lever", "rich", 31), Planted("backlash", "swing", {"gap": 0.009}, since=7.3), "gap"),
-        (
-            Case("crane", "rich", 32),
-            Planted("motor_coulomb_friction", "elbow", {"level": 2.8}, since=5.9),
-            "level",
-        ),
-        (
-            Case("crane", "rich", 33),
-            Planted("payload", "elbow", {"mass": 0.65, "position": (0.0, 0.0, -0.25)}, since=6.6),
-            "mass",
-        ),
-    ],
+    sample(
+        [
+            (Case("lever", "rich", 31), Planted("backlash", "swing", {"gap": 0.009}, since=7.3), "gap"),
+            (
+                Case("crane", "rich", 32),
+                Planted("motor_coulomb_friction", "elbow", {"level": 2.8}, since=5.9),
+                "level",
+            ),
+            (
+                Case("crane", "rich", 33),
+                Planted("payload", "elbow", {"mass": 0.65, "position": (0.0, 0.0, -0.25)}, since=6.6),
+                "mass",
+            ),
+        ],
+        one_in=3,
+        several=True,
+    ),
     ids=lambda x: getattr(x, "effect", None),
 )
 def test_a_cause_that_sets_in_later_is_dated(case: Case, cause: Planted, main: str) -> None:
@@ -210,6 +215,7 @@ def test_two_causes_on_two_joints_are_both_named() -> None:
     assert gains == sorted(gains, reverse=True)
 
 
+@thorough
 def test_a_model_without_any_friction_gets_it_at_every_joint() -> None:
     """What most robot descriptions leave out, all at once, and a load that nobody told of."""
     planted = [
@@ -251,12 +257,16 @@ def test_a_cause_is_named_beside_numbers_that_are_off() -> None:
 
 @pytest.mark.parametrize(
     ("planted", "excluded"),
-    [
-        ("backlash", {"backlash"}),
-        ("load_friction", {"load_friction", "drive_efficiency"}),  # the second contains the first
-        ("hardening_spring", {"hardening_spring"}),
-        ("payload", {"payload"}),
-    ],
+    sample(
+        [
+            ("backlash", {"backlash"}),
+            ("load_friction", {"load_friction", "drive_efficiency"}),  # the second contains the first
+            ("hardening_spring", {"hardening_spring"}),
+            ("payload", {"payload"}),
+        ],
+        one_in=4,
+        several=True,
+    ),
 )
 def test_without_the_true_effect_no_wrong_one_is_claimed(planted: str, excluded: set[str]) -> None:
     case = next(s for s in SINGLES if s.cause.effect == planted)

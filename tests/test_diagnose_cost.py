@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from diagnose_cases import Case, as_recording, nominal
 from planting import Planted
+from thorough import thorough
 
 from flexjoint.diagnose import balances, chain, diagnose, scan, whitening
 from flexjoint.diagnose import workspace as workspaces
@@ -60,6 +61,7 @@ def test_any_number_of_processes_gives_the_same_bits(monkeypatch: pytest.MonkeyP
     assert scanned(2, current) == alone
 
 
+@thorough
 def test_a_search_is_the_same_for_any_number_of_processes() -> None:
     recording = as_recording(Case("crane", "rich", 41).with_causes(GAP)).between(0.0, 6.0)
     one, three = (json.dumps(to_json(diagnose(nominal("crane"), [recording], workers=n))) for n in (1, 3))

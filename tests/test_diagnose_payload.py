@@ -12,6 +12,7 @@ import pytest
 from diagnose_cases import as_recording, nominal, summary
 from planting import ROBOTS, Planted, SensorSet, plant
 from planting.sensing import TOLD
+from thorough import thorough
 
 from flexjoint import cli, recording
 from flexjoint.body import PinBody, inertial_of
@@ -52,6 +53,7 @@ def tied(diagnosis: Diagnosis) -> set[str]:
     return names & {gains[0].effect, *(t.effect for t in gains[0].indistinguishable)}
 
 
+@thorough
 def test_the_same_recording_twice_names_what_it_names_once() -> None:
     once = diagnose(lever(), [swung(3, "gain")], refine=False)
     twice = diagnose(lever(), [swung(3, "gain"), swung(3, "gain")])

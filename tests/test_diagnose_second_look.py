@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from diagnose_cases import Case, as_recording, nominal
 from planting import Planted
+from thorough import thorough
 
 from flexjoint import recording
 from flexjoint.diagnose.balances import balances_of
@@ -51,6 +52,7 @@ def on_kr300(name: str) -> SecondLook | None:
     return seen(load("kr300"), measured, late, ("joint_2", "joint_3", "joint_6"))
 
 
+@thorough
 @pytest.mark.parametrize("name", ["rec_A"])
 def test_the_real_robot_breaks_away_late(name: str) -> None:
     """At rest the torques that joints 2 and 3 of the KR300 withstand before they first move are 1580 to 1690

@@ -10,6 +10,7 @@ import pytest
 from diagnose_cases import Case, as_recording, found_in, nominal, summary
 from planting import FULL, ROBOTS, Planted, plant
 from study.cases import make
+from thorough import thorough
 
 from flexjoint.diagnose import trials, worth
 from flexjoint.diagnose.balances import balances_of
@@ -83,6 +84,7 @@ def test_a_cause_that_makes_another_balance_wrong_is_none() -> None:
     assert not contradicted(right, nothing)
 
 
+@thorough
 def test_a_struck_cause_is_not_replaced_with_confidence() -> None:
     result = found_in(Case("turret_exact", "slow", 3), COGGING, excluded=frozenset({"cogging"}))
 
@@ -225,6 +227,7 @@ def test_what_cannot_matter_is_not_fitted() -> None:
         assert might_matter(nothing, scored) is matters
 
 
+@thorough
 def test_a_law_that_swaps_in_must_stay_better_at_its_own_level() -> None:
     """Beside a hysteresis, Coulomb friction must not give way to a Stribeck bump that shrinks once it is
     judged by what it leaves."""
@@ -237,6 +240,7 @@ def test_a_law_that_swaps_in_must_stay_better_at_its_own_level() -> None:
     assert {f.effect for f in result.findings} == {c.effect for c in causes}, summary(result)
 
 
+@thorough
 def test_two_levels_are_told_apart_by_the_simulation() -> None:
     """With unknown encoder offsets the balances tell the mean of two friction levels only; the simulation
     tells both, and a law is as fine as its refined numbers are known."""

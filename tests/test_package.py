@@ -13,6 +13,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from thorough import thorough
 
 import flexjoint
 
@@ -105,6 +106,7 @@ def test_the_installed_package_is_the_one_that_runs(built: Path, installed: Path
     assert "kr300" in robots and str(installed.parent) in robots and str(ROOT) not in robots
 
 
+@thorough
 def test_the_installed_demo_leaves_its_report(demo: tuple[Path, str]) -> None:
     folder, printed = demo
     assert {path.name for path in folder.iterdir()} == {
@@ -118,6 +120,7 @@ def test_the_installed_demo_leaves_its_report(demo: tuple[Path, str]) -> None:
     )  # self-contained
 
 
+@thorough
 def test_the_installed_demo_names_causes_and_measures_what_they_gain(demo: tuple[Path, str]) -> None:
     folder, printed = demo
     said = json.loads((folder / "diagnosis.json").read_text())
@@ -133,6 +136,7 @@ def test_the_installed_demo_names_causes_and_measures_what_they_gain(demo: tuple
             assert after[f"phi.{joint}"] < before[f"phi.{joint}"] / 2.5
 
 
+@thorough
 def test_the_extended_robot_of_the_demo_is_a_robot(demo: tuple[Path, str], installed: Path) -> None:
     """Its URDF lies in the package, elsewhere than the YAML."""
     folder, _ = demo
