@@ -11,8 +11,8 @@ export OMP_NUM_THREADS ?= 1
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
-	@echo "make test   style, types and tests: some fifteen minutes at most"
-	@echo "make test-all   these and all long tests, which diagnose a lot; what .ci/run runs: half an hour or more"
+	@echo "make test   style, types and tests"
+	@echo "make test-all   these and the long tests, which diagnose a lot: half an hour or more; .ci/run runs them"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style and types only"
 	@echo "make docs   regenerate docs/effects.md"
