@@ -28,7 +28,9 @@ Engine = Literal["auto", "compiled", "pin"]
 ADAPTIVE = "reference"
 Made = TypeVar("Made", CompiledModel, CompiledRates)
 ENGINES = ("auto", "compiled", "pin")
-LONG = 20_000  # steps from which `auto` compiles: about the pin loop's time for a compilation
+LONG = 20_000  # steps from which `auto` compiles any model
+PER_JOINT = 2_500  # and of small ones, joint by joint: about the pin loop's time for a compilation
+LEAST = 5_000
 
 log = logging.getLogger("flexjoint")
 _said: set[str] = set()
@@ -85,6 +87,11 @@ def closed_loop(
     return _run(compiled, model, start, law, compiled.references(references), past)
 
 
+def long(model: FlexibleJointModel) -> int:
+    """Steps from which `auto` compiles the model."""
+    return min(LONG, max(LEAST, PER_JOINT * len(model.joints)))
+
+
 def choose(
     model: FlexibleJointModel,
     steps: int,
@@ -97,7 +104,10 @@ def choose(
 ) -> CompiledModel | None:
     """The compiled model that `engine` asks for, or None for the pin loop. Says the choice of `auto` once,
     at info level."""
-    return _chosen(lambda: compiled_for(model, rate, law, references, scheme, width), steps, engine, scheme)
+    def made() -> CompiledModel:
+        return compiled_for(model, rate, law, references, scheme, width)
+
+    return _chosen(made, steps >= long(model), engine, scheme)
 
 
 def adaptive(model: FlexibleJointModel, steps: int, engine: Engine) -> FlexibleJointModel:
@@ -109,16 +119,16 @@ def adaptive(model: FlexibleJointModel, steps: int, engine: Engine) -> FlexibleJ
         rates.phases  # noqa: B018  compiles them
         return rates
 
-    return _chosen(made, steps, engine, ADAPTIVE) or model
+    return _chosen(made, steps >= long(model), engine, ADAPTIVE) or model
 
 
-def _chosen(make: Callable[[], Made], steps: int, engine: Engine, scheme: str) -> Made | None:
+def _chosen(make: Callable[[], Made], worthwhile: bool, engine: Engine, scheme: str) -> Made | None:
     """What `make` makes, or None, as `choose` says."""
     if engine not in ENGINES:
         raise unknown("engine", engine, ENGINES)
     if engine == "compiled":
         return make()
-    if engine == "pin" or steps < LONG:
+    if engine == "pin" or not worthwhile:
         return None
     try:
         made = make()
