@@ -104,6 +104,7 @@ def choose(
 ) -> CompiledModel | None:
     """The compiled model that `engine` asks for, or None for the pin loop. Says the choice of `auto` once,
     at info level."""
+
     def made() -> CompiledModel:
         return compiled_for(model, rate, law, references, scheme, width)
 

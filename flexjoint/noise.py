@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 COARSE = 3.0  # steps of a quantised signal that its noise spans, below which it counts as coarse
+FOURTH = 1.0 + 16.0 + 36.0 + 16.0 + 1.0  # variance of the fourth difference of white noise of variance 1
 JERKY = 1.3  # ratio of mean square to median, from which rare jerks are at work
 
 
@@ -18,15 +19,19 @@ def white_noise(samples: np.ndarray) -> float:
     if x.size < 16:
         return 0.0
     fourth = np.diff(x, 4)
-    # the variance of the fourth difference of white noise is 1 + 16 + 36 + 16 + 1 = 70 times its own
-    spread = float(np.sqrt(np.mean(fourth**2) / 70.0))
-    robust = float(np.median(np.abs(fourth)) / 0.6745 / np.sqrt(70.0))
+    spread, robust = float(np.sqrt(np.mean(fourth**2) / FOURTH)), usual_noise(x)
     quantum = step_of(x)
     # the median of a coarsely quantised signal is itself a multiple of the step: then the mean square is
     # better, unless jerks blow it up
     coarse = robust < COARSE * quantum and spread < JERKY * robust
     white = spread if coarse or robust == 0.0 else min(spread, robust)
     return max(white, quantum / np.sqrt(12.0))
+
+
+def usual_noise(samples: np.ndarray) -> float:
+    """The same from the median of absolute fourth differences, whatever a signal's steps: it does not see
+    what is rare."""
+    return float(np.median(np.abs(np.diff(samples, 4))) / 0.6745 / np.sqrt(FOURTH))
 
 
 def step_of(x: np.ndarray) -> float:

@@ -65,13 +65,18 @@ class Fit:
     @cached_property
     def pulled(self) -> float:
         """Prior deviations by which the furthest nominal number has to be off."""
-        return float(np.max(np.abs(self.workspace.deviations(self.y)), initial=0.0))
+        return self.workspace.furthest(self.y)
 
 
 def shifts(result: Fit) -> list[Planned]:
     """What the nominal numbers' own tolerances take on beside the fitted effects, as effects: where they are
     at work, as two small deviations also have a product (a spring's with its encoders' offsets)."""
-    return held(result.workspace, settled(result.workspace, result.effects, result.y))
+    return held(result.workspace, settled_numbers(result))
+
+
+def settled_numbers(result: Fit) -> np.ndarray:
+    """(numbers,) the same as deviations, of which `deviations.held` makes those effects."""
+    return settled(result.workspace, result.effects, result.y)
 
 
 def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.signal import periodogram
 
-from flexjoint.diagnose.fit import Fit, shifts
+from flexjoint.diagnose.deviations import held
+from flexjoint.diagnose.fit import Fit, settled_numbers
 from flexjoint.diagnosis import ResidualView, Unexplained
 from flexjoint.effect import Planned, Site
 
@@ -23,17 +24,17 @@ ABOVE_NOISE = 1.5  # deviations of the predicted noise below which a leftover is
 
 def views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
     """Residual of every balance [N m] before and after, with the signals it may depend on. Encoder offsets
-    that are free in each recording are taken out of both."""
+    that are free in each recording, and what torques did between samples, are taken out of both."""
     workspace = best.workspace
     balances, used = workspace.balances, workspace.readings.valid
-    offsets = [e for e in shifts(nothing) if e.effect.site is Site.SENSOR]
+    first, last = settled_numbers(nothing), settled_numbers(best)
+    offsets = [e for e in held(nothing.workspace, first) if e.effect.site is Site.SENSOR]
 
-    def series(effects: Sequence[Planned]) -> np.ndarray:
-        return balances.time_series(balances.residual(effects))[:, used]
+    def series(effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
+        return (balances.time_series(balances.residual(effects)) - workspace.jumped(numbers))[:, used]
 
-    before = series([*workspace.nominal, *offsets])
-    held = [*workspace.with_nominal(best.effects), *shifts(best)]
-    after = series(held)
+    before = series([*workspace.nominal, *offsets], first)
+    after = series([*workspace.with_nominal(best.effects), *held(workspace, last)], last)
     noise = workspace.deviation
     out = []
     for row, old, new, expected in zip(balances.rows, before, after, noise, strict=True):

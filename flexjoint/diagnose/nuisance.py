@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnose.balances import LINK, MOTOR, SPRING, Balances
+from flexjoint.diagnose.jumps import Unknown, jumps, unknown_shapes
 from flexjoint.diagnose.recent import Recent
+from flexjoint.diagnose.signals import Readings
 from flexjoint.diagnose.whitening import Band, Whitening
 from flexjoint.effect import Drive, Effect, Param, Planned, Site, plan
 from flexjoint.robot import Robot
@@ -20,6 +22,9 @@ TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
 OTHER_COMPONENT = 0.1  # a centre of mass is trusted in its small components to this share of its length
 STEP = 0.01  # prior deviations, of a derivative where friction holds: a whole one may break it loose
 REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
+JUMP = "jump between samples"
+LEAST_JUMP = 0.5  # of the noise, in all it touches, from which on a jump between samples matters
+JUMP_MEMORY = 1e8  # bytes of all of them: the largest ones, where there are more
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,12 @@ class Nuisance:
     def held_as_effect(self) -> bool:
         """Whether `as_effects` makes an effect of its deviation."""
         return self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")
+
+    @property
+    def of_the_robot(self) -> bool:
+        """Whether it is a number that the robot file claims, which may be implausibly far off; not one that
+        nobody knows."""
+        return self.name != JUMP
 
 
 class DriveDeviation(Effect):
@@ -97,18 +108,22 @@ def as_effects(
 
 
 class Columns:
-    """Builds the columns of one set of balances under one whitening."""
+    """Builds the columns of one set of balances under one whitening; where torques jump, the readings as they
+    are tell."""
 
-    def __init__(self, balances: Balances, whitening: Whitening) -> None:
-        self.balances, self.whitening = balances, whitening
+    def __init__(self, balances: Balances, whitening: Whitening, readings: Readings) -> None:
+        self.balances, self.whitening, self._readings = balances, whitening, readings
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.nuisance: list[Nuisance] = []
         self._recent: Recent[Band] = Recent()
         self._directions: dict[int, np.ndarray] = {}  # (10,) of a link's parameters, by number
+        self._jumps: list[Unknown] = []
         self.samples = whitening.time.size * len(balances.rows)
         columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
         if self.robot.file.offsets == "per_recording":
             columns += self._offset_columns()
+        columns += self._jump_columns()
+        self._of_jumps = np.array([not number.of_the_robot for number in self.nuisance], dtype=bool)
         self.matrix = np.empty((len(columns), self.samples))
         for k in range(len(columns)):  # each is freed as it is taken over: together they are large
             self.matrix[-1 - k] = columns.pop()
@@ -192,6 +207,48 @@ class Columns:
             columns.append(self._column(back))
             self.nuisance.append(Nuisance("link_encoder_offset", joint.name, OFFSET_SPREAD))
         return columns
+
+    def _jump_columns(self) -> list[np.ndarray]:
+        """What torques that jump gave between two samples, where it matters: of many jumps in a row, which
+        the balances cannot part, as many columns as they can."""
+        size = jumps(self._readings)
+        size[:, ~self._readings.valid] = 0.0
+        shapes, weight = np.zeros((len(size), 2, 2)), np.zeros_like(size)
+        for i, own in enumerate(size):
+            if np.any(own) and self._row(MOTOR, i) is not None:
+                shapes[i] = unknown_shapes(self._readings, i, self.robot.rates.control)
+                weight[i] = own * np.linalg.norm(self._pair_column(i, own.size // 2, shapes[i, 0]))
+        most = int(JUMP_MEMORY / (2 * 8 * self.samples))
+        least = max(LEAST_JUMP, float(np.sort(weight, axis=None)[-min(most, weight.size)]))
+        columns: list[np.ndarray] = []
+        for i, own in enumerate(size):
+            when = np.flatnonzero(weight[i] > least)
+            if not when.size:
+                continue
+            pairs = np.concatenate([own[when, None] * shape for shape in shapes[i]])
+            when = np.tile(when, len(shapes[i]))
+            each = np.array([self._pair_column(i, int(k), pair) for k, pair in zip(when, pairs, strict=True)])
+            energy, axes = np.linalg.eigh(each @ each.T)
+            axes = axes[:, energy > LEAST_JUMP**2]
+            columns += list(axes.T @ each)
+            self._jumps.append(Unknown(i, when, pairs, axes))
+        self.nuisance += [Nuisance(JUMP, None, 1.0)] * len(columns)
+        return columns
+
+    def _pair_column(self, i: int, k: int, pair: np.ndarray) -> np.ndarray:
+        """Trace of torques (2,) of motor i at sample k and the next."""
+        torque = np.zeros(self.balances.filter.count)
+        torque[k : k + 2] = pair
+        return self._column({(MOTOR, i): self._spectrum(torque)})
+
+    def jump_torque(self, deviations: np.ndarray) -> np.ndarray:
+        """(n, N) motor torques [N m] that deviations (numbers,) say came between samples."""
+        count = self.balances.filter.count
+        out, numbers = np.zeros((len(self.robot.joints), count)), deviations[self._of_jumps]
+        for unknown in self._jumps:
+            own, numbers = np.split(numbers, [unknown.axes.shape[1]])
+            out[unknown.joint] = unknown.torque(own, count)
+        return out
 
     def entangled(self, effects: Sequence[Planned]) -> dict[str, list[Planned]]:
         """Joints with effects that change what an actuator's numbers do, with all effects of their own."""

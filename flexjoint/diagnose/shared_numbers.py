@@ -81,6 +81,6 @@ def _keys(workspace: Workspace, recording: int) -> list[object]:
     for number in workspace.nuisance:
         name = (number.name, number.joint)
         seen[name] = seen.get(name, -1) + 1
-        free = floating and number.name.endswith("_encoder_offset")
+        free = (floating and number.name.endswith("_encoder_offset")) or not number.of_the_robot
         out.append((*name, seen[name], recording if free else None))
     return out

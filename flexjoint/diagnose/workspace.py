@@ -17,7 +17,7 @@ from scipy import fft
 from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnose import whitening
-from flexjoint.diagnose.balances import TwinBalances
+from flexjoint.diagnose.balances import MOTOR, TwinBalances
 from flexjoint.diagnose.nuisance import Columns
 from flexjoint.diagnose.recent import Recent
 from flexjoint.diagnose.whitening import Band
@@ -64,8 +64,9 @@ class Workspace:
         self._starts: dict[tuple[str, str | None], tuple[dict[str, float], ...]] = {}
         self._recent: Recent[np.ndarray] = Recent()
         self._moves: Recent[Moves] = Recent()
-        self._columns = Columns(balances.quiet, self.whitening)
+        self._columns = Columns(balances.quiet, self.whitening, self.readings)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
+        self._claimed = np.array([number.of_the_robot for number in self.nuisance], dtype=bool)
         self._entangled: tuple[Planned, ...] = ()  # effects beside which actuators' numbers do something else
         self.temper = np.ones(len(rows))
         self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
@@ -183,7 +184,7 @@ class Workspace:
         """The workspace at the variances that a residual y shows once the nominal numbers have explained
         what they plausibly can; correlated leftovers count as the few independent samples they are."""
         here = self.settled(y)
-        while np.max(np.abs(here.deviations(y)), initial=0.0) > PLAUSIBLE and here.energy(y) > 2.0 * TELLING:
+        while here.furthest(y) > PLAUSIBLE and here.energy(y) > 2.0 * TELLING:
             here = here.at(2.0 * here.temper, 2.0 * here.strain)
         if here.energy(y) <= 2.0 * TELLING:
             return here
@@ -317,6 +318,10 @@ class Workspace:
         """Deviations of the nominal numbers, in prior deviations, that explain most of a residual y."""
         return cho_solve(self._gram, self.pull(y))
 
+    def furthest(self, y: np.ndarray) -> float:
+        """The largest of the deviations of numbers that the robot file claims, in prior deviations."""
+        return float(np.max(np.abs(self.deviations(y)[self._claimed]), initial=0.0))
+
     def deviation_errors(self) -> np.ndarray:
         """Standard errors of `deviations`."""
         return np.sqrt(np.diag(cho_solve(self._gram, np.eye(len(self._plain)))))
@@ -376,6 +381,12 @@ class Workspace:
         )
 
     # ------------------------------------------------------------------ nominal numbers
+    def jumped(self, deviations: np.ndarray) -> np.ndarray:
+        """(rows, N) filtered balances [N m] of what deviations (numbers,) say torques did between samples."""
+        torque = self.balances.filter.smooth(self._columns.jump_torque(deviations))
+        motor = np.array([row.balance == MOTOR for row in self.balances.rows], dtype=bool)
+        return np.asarray(torque[[row.joint for row in self.balances.rows]] * motor[:, None])
+
     def inertial_band(self, i: int, change: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (10,) of the inertial parameters of joint i's link."""
         return self._columns.load_band(self.balances.quiet.inertial_torque(i, change))

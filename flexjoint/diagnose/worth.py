@@ -190,7 +190,7 @@ def only_strained(trial: Fit, without: Fit) -> bool:
 def plausible_level(result: Fit) -> Workspace:
     """The lowest level at which a fit's leftovers do not pull nominal numbers further than machines' are."""
     workspace = result.workspace
-    while np.max(np.abs(workspace.deviations(result.y)), initial=0.0) > PLAUSIBLE:
+    while workspace.furthest(result.y) > PLAUSIBLE:
         workspace = workspace.at(2.0 * workspace.temper, workspace.strain)
     return workspace
 
