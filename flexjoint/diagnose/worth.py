@@ -111,7 +111,8 @@ def degenerate(workspace: Workspace, planned: Planned) -> bool:
 def _unseen(workspace: Workspace, planned: Planned, shapes: Sequence[Param]) -> bool:
     """Whether a law has a length (a scale or width, not a place) below the noise of its joint's positions, or
     sets in and has nothing above it: a shift so small is a drift of whatever the model holds. Nor is a change
-    of the deflection seen below the step of an encoder that little noise blurs."""
+    of the deflection seen below the step of an encoder that little noise blurs; a ripple is, which returns
+    while the encoder takes many."""
     if planned.joint is None:
         return False
     readings, k = workspace.readings, workspace.robot.joint_names.index(planned.joint)
@@ -119,7 +120,8 @@ def _unseen(workspace: Workspace, planned: Planned, shapes: Sequence[Param]) -> 
     if any(p.unit == "rad" and p.low > 0.0 and planned.values[p.name] < finest for p in shapes):
         return True
     if planned.since is None:
-        finest = _coarsest_step(workspace, k) if planned.effect.site is Site.DEFLECTION else 0.0
+        shape = planned.effect.site is Site.DEFLECTION and not any(p.wraps for p in planned.effect.params)
+        finest = _coarsest_step(workspace, k) if shape else 0.0
     sizes = planned.effect.nulls
     return bool(sizes) and all(p.unit == "rad" and abs(planned.values[p.name]) < finest for p in sizes)
 
