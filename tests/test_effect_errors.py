@@ -215,7 +215,7 @@ PLANTED: dict[str, tuple[dict[str, float], ...]] = {
     ),
     "torque_delay": ({"delay": 0.0007}, {"delay": 0.013}),
     "torque_saturation": ({"limit": 17.0}, {"limit": 5.0}),
-    "torque_speed_limit": ({"stall": 20.0, "drop": 4.0},),
+    "torque_speed_limit": ({"stall": 20.0, "drop": 4.0}, {"stall": 64.0, "drop": 4.0}),
     "transmission_error": (
         {"amplitude": 5e-4, "cycles": 2, "phase": 2.0},
         {"amplitude": 5e-4, "cycles": 60, "phase": 0},

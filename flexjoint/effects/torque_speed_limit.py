@@ -9,6 +9,8 @@ from flexjoint.effect import Effect, Param, Signals, Site
 from flexjoint.effects._starts import grid
 from flexjoint.ops import Value
 
+LIMITED = np.array((0.65, 0.85, 0.97))  # of the largest torque that a line meets
+
 
 class TorqueSpeedLimit(Effect):
     """The supply voltage limits the torque: the faster the motor turns, the less it can add to its speed."""
@@ -28,4 +30,11 @@ class TorqueSpeedLimit(Effect):
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
         torque, speed = float(np.max(np.abs(s.tau_m))), float(np.max(np.abs(s.dtheta)))
         drops = np.array((0.15, 0.4, 1.0)) * (torque / speed if speed > 0.0 else 1.0)
-        return grid(self.params, stall=(0.5 * torque, 0.8 * torque, 1.2 * torque), drop=drops)
+        # of each line those that cut off the peaks of what they limit, little or more
+        return tuple(
+            start
+            for drop in drops
+            for start in grid(
+                self.params, stall=np.max(np.abs(s.tau_m + drop * s.dtheta)) * LIMITED, drop=(drop,)
+            )
+        )
