@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from flexjoint import robot
 from flexjoint.body import PinBody
 from flexjoint.diagnose import diagnose, extended_model, whitening
 from flexjoint.diagnose.balances import Balances, balances_of
-from flexjoint.diagnose.candidates import Candidate, traces
+from flexjoint.diagnose.candidates import Candidate, enumerate_candidates, traces
 from flexjoint.diagnose.motion import Motion, along, reconstruct
 from flexjoint.diagnose.nuisance import inertial_directions
 from flexjoint.diagnose.signals import EDGE_SIGMAS, make_filter, prepare
@@ -415,3 +416,17 @@ def test_a_limit_that_cuts_off_one_peak_is_found() -> None:
     assert [(f.effect, f.joint) for f in found.findings] == [("torque_speed_limit", "tilt")]
     for name, planted in case.effects[0].parameters.items():
         assert found.findings[0].parameters[name].value == pytest.approx(planted, rel=0.1)
+
+
+@pytest.mark.parametrize(("channel", "met"), [("tau_m", False), ("tau_motor", True)])
+def test_a_measured_torque_has_met_its_limits(channel: str, met: bool) -> None:
+    """A motor's current stays below its limit; what is above is the noise of the sensor, which a lower limit
+    would seem to explain."""
+    recorded = as_recording(healthy(Case("lever", "rich", 3)))
+    torque = recorded.get("tau_m", "swing")
+    columns = {key: values for key, values in recorded.columns.items() if key[0] != "tau_m"}
+    measured = replace(recorded, columns={**columns, (channel, "swing"): torque})
+    sought = {c.effect.name for c in enumerate_candidates(Workspace(balances_of(nominal("lever"), measured)))}
+
+    assert ({"torque_saturation", "torque_speed_limit"} & sought == set()) is met
+    assert {"torque_gain", "torque_offset", "cogging"} <= sought

@@ -113,8 +113,9 @@ def visible(workspace: Workspace, candidate: Candidate) -> bool:
     rows = {row.balance for row in workspace.balances.rows if row.joint == i}
     if effect.site is Site.SENSOR:
         return _sensed(workspace, candidate, i, rows)
+    met = not workspace.readings.commanded[i] and _is_limit(effect)  # a measured torque has met all limits
     shown = {
-        Site.COMMAND: MOTOR in rows,
+        Site.COMMAND: MOTOR in rows and not met,
         Site.MOTOR: MOTOR in rows,
         Site.DEFLECTION: not rigid,
         Site.SPRING: not rigid,
@@ -122,6 +123,11 @@ def visible(workspace: Workspace, candidate: Candidate) -> bool:
         Site.BODY: LINK in rows or (rigid and MOTOR in rows),
     }
     return shown[effect.site] and not (effect.needs_spring and rigid)
+
+
+def _is_limit(effect: Effect) -> bool:
+    """Whether an effect is a limit: absent where that is far beyond its usual size."""
+    return any(p.null is not None and p.null > p.value for p in effect.nulls)
 
 
 def _sensed(workspace: Workspace, candidate: Candidate, i: int, rows: set[str]) -> bool:
