@@ -16,6 +16,7 @@ from flexjoint.diagnose.shared_numbers import _keys
 from flexjoint.diagnose.signals import Readings
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.recording import Recording
+from flexjoint.recording import make as make_recording
 from flexjoint.robot import Robot, load
 
 PERIOD = 0.008
@@ -98,6 +99,14 @@ def test_what_torques_did_between_samples_is_no_error(monkeypatch: pytest.Monkey
     monkeypatch.setattr(nuisance, "jumps", lambda readings: np.zeros_like(readings.torque))
     certain = Workspace(balances_of(nominal, recording))
     assert certain.energy(certain.residual([])) > 100.0 * certain.noise_energy
+
+
+def test_jumps_beside_a_gap_are_unknown_too() -> None:
+    nominal, recording = measured(132)
+    middle = np.abs(recording.time - recording.time.mean()) > 0.2
+    gappy = make_recording(recording.time[middle], {k: v[middle] for k, v in recording.columns.items()})
+    workspace = Workspace(balances_of(nominal, gappy))
+    assert workspace.energy(workspace.residual([])) < 1.1 * workspace.noise_energy
 
 
 def test_each_recording_has_its_own_jumps() -> None:

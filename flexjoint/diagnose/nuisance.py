@@ -217,8 +217,9 @@ class Columns:
         for i, own in enumerate(size):
             if np.any(own) and self._row(MOTOR, i) is not None:
                 shapes[i] = unknown_shapes(self._readings, i, self.robot.rates.control)
-                weight[i] = own * np.linalg.norm(self._pair_column(i, own.size // 2, shapes[i, 0]))
-        most = int(JUMP_MEMORY / (2 * 8 * self.samples))
+                largest = int(np.argmax(own))  # where samples are used, unlike some other places
+                weight[i] = own * np.linalg.norm(self._pair_column(i, largest, shapes[i, 0]))
+        most = max(1, int(JUMP_MEMORY / (2 * 8 * self.samples)))
         least = max(LEAST_JUMP, float(np.sort(weight, axis=None)[-min(most, weight.size)]))
         columns: list[np.ndarray] = []
         for i, own in enumerate(size):
