@@ -143,6 +143,16 @@ def look_again(
     return SecondLook(here, replace(selection, best=best, nothing=nothing, rivals=together), (note,))
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """A set with a cause of one joint, and what that does to the joint."""
+
+    fit: Fit
+    errors: np.ndarray  # (n,) of the simulation
+    lowers: float  # the joint's error in the simulation, by this factor
+    cleared: float  # the variance left in its balances, by this one
+
+
 class _Look:
     """Tries the candidates of one joint after the other."""
 
@@ -176,26 +186,30 @@ class _Look:
         self, best: Fit, before: np.ndarray, k: int
     ) -> tuple[Fit, np.ndarray, tuple[Fit, ...]] | None:
         """The set with the cause of joint k that lowers its simulated error most, the errors then, and the
-        other sets that do so clearly."""
+        other sets that do so clearly. Of causes that the simulation does not clearly tell apart, it is the
+        one that leaves least in the balances."""
         own = [c for c in self.candidates if c.joint == self.robot.joint_names[k]]
         # an onset is sought over the whole record: by chance one fits something small
         scanned = [s for s in Scanner(own).scan(best) if s.removes >= WORTH_TRYING and s.since is None]
-        found: list[tuple[float, Fit, np.ndarray]] = []
+        found: list[_Tried] = []
         for scored in scanned[:TRIED]:
             trial = at_own_level(fit(best.workspace, [*best.effects, scored.planned()]))
             if degenerate(trial.workspace, trial.effects[-1]):
                 continue
-            if self.cleared(best, trial, k) < HALVED:
+            cleared = self.cleared(best, trial, k)
+            if cleared < HALVED:
                 continue
             errors = self.errors(trial.effects)
             if errors is None or np.any(errors > DISTURBING * before):
                 continue
-            found.append((float(before[k] / errors[k]), trial, errors))
-        found = sorted((f for f in found if f[0] >= CLEARLY), key=lambda one: -one[0])
+            if before[k] >= CLEARLY * errors[k]:
+                found.append(_Tried(trial, errors, float(before[k] / errors[k]), cleared))
         if not found:
             return None
-        _, chosen, errors = found[0]
-        return chosen, errors, tuple(fit(chosen.workspace, f.effects) for _, f, _ in found[1:])
+        most = max(one.lowers for one in found)
+        chosen = max((one for one in found if CLEARLY * one.lowers >= most), key=lambda one: one.cleared)
+        others = sorted((one for one in found if one is not chosen), key=lambda one: -one.lowers)
+        return chosen.fit, chosen.errors, tuple(fit(chosen.fit.workspace, one.fit.effects) for one in others)
 
     def beside(self, best: Fit, before: np.ndarray, k: int) -> tuple[Fit, np.ndarray] | None:
         """Where a dry friction was found: the set with the joint's nominal one set free, too, and the errors
