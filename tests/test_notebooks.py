@@ -20,12 +20,13 @@ ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 WORDS_AWAY = "for (const id of ['head', 'player', 'labels']) document.getElementById(id).style.opacity = 0"
 DIAGNOSES = "what_does_my_simulation_get_wrong"  # for minutes, as it is about a robot of six joints
+WHOLE_ROBOT = "centauro"  # simulated for a minute
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
 def test_there_are_notebooks() -> None:
     told = {
-        "centauro",
+        WHOLE_ROBOT,
         "effect_of_stiffness",
         "gain_design",
         "theta_d_offline",
@@ -53,7 +54,7 @@ def test_pictures_and_links_of_a_notebook_lead_somewhere(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(p, marks=thorough if p.stem == DIAGNOSES else ()) for p in NOTEBOOKS],
+    [pytest.param(p, marks=thorough if p.stem in (DIAGNOSES, WHOLE_ROBOT) else ()) for p in NOTEBOOKS],
     ids=lambda path: path.stem,
 )
 def test_a_notebook_runs_and_draws(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
