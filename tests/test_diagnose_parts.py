@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,18 +14,14 @@ import pytest
 from diagnose_cases import Case, as_recording, found_in, nominal, summary
 from planting import PERFECT, ROBOTS, Planted, Recorded, SensorSet, plant
 from planting.sensing import ALL_CHANNELS, robot_noise
-from study.cases import make
-from thorough import thorough
 
 from flexjoint import robot
 from flexjoint.body import PinBody
 from flexjoint.diagnose import diagnose, extended_model, whitening
-from flexjoint.diagnose.balances import Balances, balances_of
-from flexjoint.diagnose.candidates import Candidate, enumerate_candidates, traces
+from flexjoint.diagnose.balances import Balances
 from flexjoint.diagnose.motion import Motion, along, reconstruct
 from flexjoint.diagnose.nuisance import inertial_directions
 from flexjoint.diagnose.signals import EDGE_SIGMAS, make_filter, prepare
-from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnosis import Diagnosis, to_json
 from flexjoint.effect import Planned, catalogue
 from flexjoint.errors import RecordingError, UnknownNameError
@@ -390,43 +385,3 @@ def test_progress_rises_from_nothing_to_all() -> None:
 
     assert seen[0] == 0.0 and seen[-1] == 1.0
     assert seen == sorted(seen)
-
-
-# --------------------------------------------------------------------------- limits
-def test_a_limit_is_sought_where_it_starts_however_little_it_explains() -> None:
-    """A limit of two numbers is a line: with one of them scaled by what is left to explain, it would lie
-    where nothing meets it, and no search finds back."""
-    case = make("beyond", 95).case
-    workspace = Workspace(balances_of(nominal(case.robot), as_recording(case.train())))
-    candidate = Candidate(catalogue()["torque_speed_limit"], "tilt")
-    lines = [t.values(np.array([0.2])) for t in traces(workspace, candidate, (), workspace.residual([]))]
-    s = workspace.signals("tilt")
-
-    assert len(lines) > 3
-    for line in lines:
-        assert 0.0 < np.mean(np.abs(s.tau_m + line["drop"] * s.dtheta) > line["stall"]) < 0.2
-
-
-@thorough
-def test_a_limit_that_cuts_off_one_peak_is_found() -> None:
-    """One swing of the tilt in 11 s met it; what it leaves there looks like a rough spot, too."""
-    case = make("beyond", 95).case
-    found = diagnose(nominal(case.robot), [as_recording(case.train())])
-
-    assert [(f.effect, f.joint) for f in found.findings] == [("torque_speed_limit", "tilt")]
-    for name, planted in case.effects[0].parameters.items():
-        assert found.findings[0].parameters[name].value == pytest.approx(planted, rel=0.1)
-
-
-@pytest.mark.parametrize(("channel", "met"), [("tau_m", False), ("tau_motor", True)])
-def test_a_measured_torque_has_met_its_limits(channel: str, met: bool) -> None:
-    """A motor's current stays below its limit; what is above is the noise of the sensor, which a lower limit
-    would seem to explain."""
-    recorded = as_recording(healthy(Case("lever", "rich", 3)))
-    torque = recorded.get("tau_m", "swing")
-    columns = {key: values for key, values in recorded.columns.items() if key[0] != "tau_m"}
-    measured = replace(recorded, columns={**columns, (channel, "swing"): torque})
-    sought = {c.effect.name for c in enumerate_candidates(Workspace(balances_of(nominal("lever"), measured)))}
-
-    assert ({"torque_saturation", "torque_speed_limit"} & sought == set()) is met
-    assert {"torque_gain", "torque_offset", "cogging"} <= sought
