@@ -63,11 +63,10 @@ class Trace:
         effect = self.candidate.effect
         out: dict[str, Any] = dict(self.start)
         if self.kind == "whole":
-            # a limit is absent at its far end: its start is kept, and the line that it is part of, not scaled
-            limit = any(abs(self.origin[name]) > abs(size) for name, size in self.trial.items())
-            scale = float(np.clip(amplitude[0], 0.1, 10.0))
+            # a limit's start is kept, and the line that it is part of, not scaled
+            scale = 1.0 if _is_limit(effect) else float(np.clip(amplitude[0], 0.1, 10.0))
             for name, size in self.trial.items():
-                out[name] = size if limit else self.origin[name] + scale * (size - self.origin[name])
+                out[name] = self.origin[name] + scale * (size - self.origin[name])
         elif self.kind == "phase":
             size, angle = np.hypot(*amplitude), np.arctan2(amplitude[1], amplitude[0])
             for param in effect.params:

@@ -123,7 +123,7 @@ class Columns:
         if self.robot.file.offsets == "per_recording":
             columns += self._offset_columns()
         columns += self._jump_columns()
-        self._of_jumps = np.array([not number.of_the_robot for number in self.nuisance], dtype=bool)
+        self.claimed = np.array([number.of_the_robot for number in self.nuisance], dtype=bool)
         self.matrix = np.empty((len(columns), self.samples))
         for k in range(len(columns)):  # each is freed as it is taken over: together they are large
             self.matrix[-1 - k] = columns.pop()
@@ -245,7 +245,7 @@ class Columns:
     def jump_torque(self, deviations: np.ndarray) -> np.ndarray:
         """(n, N) motor torques [N m] that deviations (numbers,) say came between samples."""
         count = self.balances.filter.count
-        out, numbers = np.zeros((len(self.robot.joints), count)), deviations[self._of_jumps]
+        out, numbers = np.zeros((len(self.robot.joints), count)), deviations[~self.claimed]
         for unknown in self._jumps:
             own, numbers = np.split(numbers, [unknown.axes.shape[1]])
             out[unknown.joint] = unknown.torque(own, count)

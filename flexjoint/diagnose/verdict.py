@@ -263,8 +263,8 @@ def _hidden_by_refit(selection: Selection, k: int) -> bool:
     if not free:
         return False
     rest = workspace.residual(without)
-    freed = np.diag([float(number.of_the_robot) for number in workspace.nuisance])
-    y, normal = rest * workspace.weights, workspace.gram - freed
+    freed = np.array([number.of_the_robot for number in workspace.nuisance], dtype=float)
+    y, normal = rest * workspace.weights, workspace.gram - np.diag(freed)
     ridge = 1e-6 * np.trace(normal) / free * np.eye(free)
     pull = np.linalg.solve(normal + ridge, workspace.pull(rest))
     absorbed = y - workspace.along(pull) * workspace.weights

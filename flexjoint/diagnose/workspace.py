@@ -66,7 +66,6 @@ class Workspace:
         self._moves: Recent[Moves] = Recent()
         self._columns = Columns(balances.quiet, self.whitening, self.readings)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
-        self._claimed = np.array([number.of_the_robot for number in self.nuisance], dtype=bool)
         self._entangled: tuple[Planned, ...] = ()  # effects beside which actuators' numbers do something else
         self.temper = np.ones(len(rows))
         self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
@@ -320,7 +319,7 @@ class Workspace:
 
     def furthest(self, y: np.ndarray) -> float:
         """The largest of the deviations of numbers that the robot file claims, in prior deviations."""
-        return float(np.max(np.abs(self.deviations(y)[self._claimed]), initial=0.0))
+        return float(np.max(np.abs(self.deviations(y)[self._columns.claimed]), initial=0.0))
 
     def deviation_errors(self) -> np.ndarray:
         """Standard errors of `deviations`."""
