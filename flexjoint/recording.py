@@ -36,6 +36,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
 )
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")  # what a simulation is compared on
 MINIMUM_SAMPLES = 50
+LEAST_PRESENT = 0.05  # of a column's rows
 
 
 @dataclass(frozen=True)
@@ -106,14 +107,18 @@ def make(
             raise RecordingError(f"{name}: {channel}.{joint} has {array.size} samples, time has {time.size}")
         if np.any(np.isinf(array)):
             raise RecordingError(f"{name}: {channel}.{joint} holds infinite values; leave such cells empty")
-        present = int(np.count_nonzero(np.isfinite(array)))
-        if present < max(2, 0.05 * time.size):
+        if not was_measured(array):
             raise RecordingError(
-                f"{name}: column {channel}.{joint} holds {present} numbers in {time.size} rows; leave a"
-                " channel out that was not measured"
+                f"{name}: column {channel}.{joint} holds {np.count_nonzero(np.isfinite(array))} numbers in"
+                f" {time.size} rows; leave a channel out that was not measured"
             )
         checked[channel, joint] = array
     return Recording(time, MappingProxyType(checked), name)
+
+
+def was_measured(values: np.ndarray) -> bool:
+    """Whether a column (N,) holds enough numbers to count as a channel."""
+    return int(np.count_nonzero(np.isfinite(values))) >= max(2, LEAST_PRESENT * values.size)
 
 
 def read(source: str | os.PathLike[str]) -> Recording:

@@ -13,6 +13,7 @@ from flexjoint.diagnose import held_out, leftover, verdict
 from flexjoint.diagnose.balances import Balances, balances_of
 from flexjoint.diagnose.candidates import STILL, enumerate_candidates
 from flexjoint.diagnose.crew import workers_of
+from flexjoint.diagnose.excerpt import excerpts
 from flexjoint.diagnose.experiment import advice
 from flexjoint.diagnose.naming import named
 from flexjoint.diagnose.reliability import LEAST
@@ -68,8 +69,9 @@ def diagnose(
     _check_names(excluded)
     workers = workers_of(workers)
     report: Progress = progress or (lambda _share, _what: None)
-    recording, robots = recordings[0], _loaded(robot, recordings, payloads)
-    robot = robots[0]
+    robots = _loaded(robot, recordings, payloads)
+    recordings, cut = excerpts(robot, recordings)
+    recording, robot = recordings[0], robots[0]
     report(0.0, "preparing the balances")
     balances = balances_of(robot, recording)
     refusal = _refusal(balances)
@@ -89,7 +91,7 @@ def diagnose(
         selection, spread, notes = together.selection, together.errors, notes + together.notes
     report(0.92, "measuring the gain on held-out data")
     selection, measured, worse = held_out.confirmed(robot, recording, workspace, selection)
-    notes += (*_known(recordings, payloads), *worse)
+    notes += (*cut, *_known(recordings, payloads), *worse)
     if len(recordings) == 1 and measured is not None and _doubtful(selection):
         again = look_again(robot, recording, workspace, selection, candidates, _part(report, 0.92, 0.02))
         if again is not None:
