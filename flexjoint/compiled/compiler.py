@@ -18,8 +18,8 @@ from flexjoint.errors import FlexJointError
 # -O1: straight-line code, on which -O3 gains nothing and takes longer. No contraction to fused
 # multiply-adds: results are those of the operations as written, on any machine. GCC clears the upper halves
 # of AVX registers only with -fexpensive-optimizations; else sin and cos of the C library run at half speed.
-# Its register allocator colours a graph of conflicts: a third of the time for a step with its derivatives, and
-# no quicker program. Clang ignores what it does not know of these.
+# Its register allocator would colour a graph of conflicts: a third of all time for a step with its
+# derivatives, and no quicker program. Clang ignores what it does not know of these.
 FLAGS = (
     "-std=c99",
     "-O1",
