@@ -15,6 +15,7 @@ import logging
 import os
 import stat
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -37,14 +38,14 @@ def load(source: str, compiler: Compiler | None = None) -> tuple[Compiler, ctype
     raise failure
 
 
-def library(source: str, compiler: Compiler) -> Path:
-    """The compiled library of a C source, built unless it is there.
+def library(source: str, compiler: Compiler, further: Sequence[str] = ()) -> Path:
+    """The compiled library of a C source, built with further flags unless it is there.
 
     Safe while other processes build the same: each builds in a folder of its own and renames the result
     into place. Raises CompilerError.
     """
     folder = cache_folder()
-    key = hashlib.sha256("\0".join([source, compiler.identity, *FLAGS]).encode()).hexdigest()
+    key = hashlib.sha256("\0".join([source, compiler.identity, *FLAGS, *further]).encode()).hexdigest()
     path = folder / f"{key}.so"
     if trusted_file(path):
         os.utime(path)
@@ -52,7 +53,7 @@ def library(source: str, compiler: Compiler) -> Path:
     with tempfile.TemporaryDirectory(dir=folder, prefix="build.") as build:  # 0700 by its making
         text, built = Path(build) / "program.c", Path(build) / "program.so"
         text.write_text(source, encoding="utf-8")
-        compiler.compile(text, built)
+        compiler.compile(text, built, further)
         os.chmod(built, 0o700)
         os.replace(built, path)
     _forget_the_oldest(folder)

@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,13 +19,10 @@ from flexjoint.errors import FlexJointError
 # -O1: straight-line code, on which -O3 gains nothing and takes longer. No contraction to fused
 # multiply-adds: results are those of the operations as written, on any machine. GCC clears the upper halves
 # of AVX registers only with -fexpensive-optimizations; else sin and cos of the C library run at half speed.
-# Its register allocator would colour a graph of conflicts: a third of all time for a step with its
-# derivatives, and no quicker program. Clang ignores what it does not know of these.
 FLAGS = (
     "-std=c99",
     "-O1",
     "-fexpensive-optimizations",
-    "--param=ira-max-conflict-table-size=0",
     "-ffp-contract=off",
     "-march=native",
     "-fno-sanitize=undefined",
@@ -47,9 +45,10 @@ class Compiler:
     command: tuple[str, ...]
     identity: str
 
-    def compile(self, source: Path, library: Path) -> None:
-        """Compile a C file to a shared library; raises CompilerError with what the compiler said."""
-        command = [*self.command, *FLAGS, str(source), "-o", str(library), "-lm"]
+    def compile(self, source: Path, library: Path, further: Sequence[str] = ()) -> None:
+        """Compile a C file to a shared library, with further flags; raises CompilerError with what the
+        compiler said."""
+        command = [*self.command, *FLAGS, *further, str(source), "-o", str(library), "-lm"]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, timeout=TIMEOUT, check=False, cwd=source.parent

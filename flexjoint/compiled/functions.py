@@ -11,6 +11,9 @@ from flexjoint.compiled.compiler import CompilerError, compilers
 # a compiler takes some 0.2 ms an operation, CasADi's virtual machine some 10 ns more than compiled code does
 BREAK_EVEN = 20_000  # evaluations from which compiling is quicker than not compiling
 LARGEST = 60_000  # operations: a compiler takes more than proportional time for more
+# GCC's register allocator would colour a graph of conflicts, which takes a third of all time for so long a
+# straight line and makes it no quicker (steps in a loop it does); Clang ignores this
+STRAIGHT = ("--param=ira-max-conflict-table-size=0",)
 EXPORT = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n'
 
 
@@ -24,7 +27,7 @@ def compiled(function: ca.Function) -> ca.Function:
     source = EXPORT + c_source([function])
     for compiler in compilers():
         try:
-            return ca.external(function.name(), str(library(source, compiler)))
+            return ca.external(function.name(), str(library(source, compiler, STRAIGHT)))
         except (CompilerError, RuntimeError):
             continue
     return function
