@@ -7,7 +7,7 @@ rule. Many windows are simulated side by side.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -106,11 +106,16 @@ class StepDerivatives:
         pv, pl = p[places], p[self._loads]
         by_step = [ca.jacobian(after, a) for a in (x, symbolic.u, pl, pv)]
         by_reading = [ca.jacobian(y, a) for a in (x, pv)]
-        outputs: Any = [after, *by_step, y, *by_reading]  # the stubs know less than CasADi
-        outputs = [ca.densify(out) for out in ca.cse(outputs)]
+        # derivatives by the state, and by all else: two programs are compiled side by side, each in less
+        # than half the time, and share little
+        first: Any = [after, by_step[0], y, by_reading[0]]  # the stubs know less than CasADi
+        second: Any = [*by_step[1:], by_reading[1]]
         inputs = [x, symbolic.u, p, symbolic.t, h]
-        function = ca.Function("flexjoint_sensitivities", inputs, outputs)
-        self._function = compiled(function) if worth_compiling(function, steps) else function
+        functions = [
+            ca.Function(f"flexjoint_by_{name}", inputs, [ca.densify(out) for out in ca.cse(outputs)])
+            for name, outputs in (("state", first), ("inputs", second))
+        ]
+        self._functions = compiled(functions) if worth_compiling(functions, steps) else functions
         self._calls: dict[int, _Call] = {}
         self._body = PinBody(symbolic.robot.model)
         joints = symbolic.robot.joints
@@ -166,7 +171,7 @@ class StepDerivatives:
 
     def _call(self, count: int) -> _Call:
         if count not in self._calls:
-            self._calls[count] = _Call(self._function, count)
+            self._calls[count] = _Call(self._functions, count)
         return self._calls[count]
 
 
@@ -174,22 +179,37 @@ class _Call:
     """The step for `count` windows at once, on arrays that it reads and writes in place: inputs (W, rows),
     outputs (W, rows, columns)."""
 
-    def __init__(self, function: ca.Function, count: int) -> None:
-        buffer: Any
-        buffer, self.evaluate = function.map(count).buffer()
-        self._buffer = buffer  # which the arrays below belong to
-        inputs = [np.zeros((count, function.size1_in(k))) for k in range(function.n_in())]
-        # CasADi's matrices are stored by columns, those of all windows side by side
-        outputs = [
-            np.zeros((count, function.size2_out(k), function.size1_out(k))) for k in range(function.n_out())
-        ]
-        for k, table in enumerate(inputs):
-            buffer.set_arg(k, table.data)
-        for k, block in enumerate(outputs):
-            buffer.set_res(k, block.data)
+    def __init__(self, functions: Sequence[ca.Function], count: int) -> None:
+        shared = functions[0]
+        inputs = [np.zeros((count, shared.size1_in(k))) for k in range(shared.n_in())]
         self.x, self.u, self.p, self.t, self.h = inputs
-        views = [block.transpose(0, 2, 1) for block in outputs]
-        self.after, self.by_x, self.by_u, self.by_load, self.by_p, self.y, self.y_by_x, self.y_by_p = views
+        self._bound = [_bound(function, inputs) for function in functions]
+        state, others = (views for _, _, views in self._bound)
+        self.after, self.by_x, self.y, self.y_by_x = state
+        self.by_u, self.by_load, self.by_p, self.y_by_p = others
+
+    def evaluate(self) -> None:
+        for _, evaluate, _ in self._bound:
+            evaluate()
+
+
+def _bound(
+    function: ca.Function, inputs: Sequence[np.ndarray]
+) -> tuple[Any, Callable[[], None], list[np.ndarray]]:
+    """A function that reads these arrays: its buffer (which must live as long as they are used), what
+    evaluates it, and what it writes to."""
+    count = len(inputs[0])
+    buffer: Any
+    buffer, evaluate = function.map(count).buffer()
+    for k, table in enumerate(inputs):
+        buffer.set_arg(k, table.data)
+    views = []
+    for k in range(function.n_out()):
+        # CasADi's matrices are stored by columns, those of all windows side by side
+        block = np.zeros((count, function.size2_out(k), function.size1_out(k)))
+        buffer.set_res(k, block.data)
+        views.append(block.transpose(0, 2, 1))
+    return buffer, evaluate, views
 
 
 class Delays:

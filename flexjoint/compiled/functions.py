@@ -1,6 +1,9 @@
-"""A single casadi.Function as compiled code, from the same cache as the compiled models."""
+"""casadi.Functions as compiled code, from the same cache as the compiled models."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 
@@ -17,17 +20,22 @@ STRAIGHT = ("--param=ira-max-conflict-table-size=0",)
 EXPORT = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n'
 
 
-def worth_compiling(function: ca.Function, evaluations: int) -> bool:
+def worth_compiling(functions: Sequence[ca.Function], evaluations: int) -> bool:
     """Whether so many evaluations are quicker with the compiler's time than without both."""
-    return evaluations > BREAK_EVEN and function.n_instructions() < LARGEST
+    return evaluations > BREAK_EVEN and sum(f.n_instructions() for f in functions) < LARGEST
 
 
-def compiled(function: ca.Function) -> ca.Function:
-    """The same function as compiled code; itself where there is no C compiler that works."""
-    source = EXPORT + c_source([function])
+def compiled(functions: Sequence[ca.Function]) -> list[ca.Function]:
+    """The same functions as compiled code, made side by side; each itself where there is no C compiler that
+    works."""
+    with ThreadPoolExecutor() as threads:  # they wait for a compiler
+        return list(threads.map(_compiled, functions, [c_source([f]) for f in functions]))
+
+
+def _compiled(function: ca.Function, source: str) -> ca.Function:
     for compiler in compilers():
         try:
-            return ca.external(function.name(), str(library(source, compiler, STRAIGHT)))
+            return ca.external(function.name(), str(library(EXPORT + source, compiler, STRAIGHT)))
         except (CompilerError, RuntimeError):
             continue
     return function
