@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -78,7 +78,7 @@ def as_effects(
     `nominal` (n, 10) are the links' inertial parameters."""
     drives: dict[str, dict[str, float]] = {}
     added: dict[str, np.ndarray] = {}
-    seen: dict[str, int] = {}
+    directions: dict[str, Iterator[np.ndarray]] = {}  # of a joint, those still to come
     for number, deviation in zip(nuisance, deviations, strict=True):
         if number.joint is None:
             continue
@@ -87,10 +87,10 @@ def as_effects(
             drives.setdefault(number.joint, {})[NUMBERS[number.name]] = change
         elif number.name == "inertial":
             i = robot.joint_names.index(number.joint)
-            directions = inertial_directions(nominal[i], number.spread)
-            step = directions[seen.get(number.joint, 0)] * float(deviation)
-            added[number.joint] = added.get(number.joint, np.zeros(10)) + step
-            seen[number.joint] = seen.get(number.joint, 0) + 1
+            if number.joint not in directions:
+                directions[number.joint] = iter(inertial_directions(nominal[i], number.spread))
+                added[number.joint] = np.zeros(10)
+            added[number.joint] += next(directions[number.joint]) * float(deviation)
     out = [  # reading = true + offset
         plan(n.name, n.joint, {"offset": float(np.clip(-d * n.spread, -TURN, TURN))})
         for n, d in zip(nuisance, deviations, strict=True)
