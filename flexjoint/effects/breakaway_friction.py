@@ -32,4 +32,5 @@ class BreakawayFriction(Effect):
         return -ops.absolute(s.dtheta) / p.distance * z
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        return grid(self.params, distance=float(np.ptp(s.theta)) * np.geomspace(1e-3, 0.3, 6))
+        travel = float(np.sum(np.abs(np.diff(s.theta))))  # many times the range of a joint that swings
+        return grid(self.params, distance=travel * np.geomspace(1e-4, 0.3, 8))
