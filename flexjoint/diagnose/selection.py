@@ -19,6 +19,7 @@ from flexjoint.diagnose.trials import (
     larger_sets,
     on_all_joints,
     polish,
+    sought_again,
 )
 from flexjoint.diagnose.workspace import Workspace
 from flexjoint.diagnose.worth import (
@@ -200,6 +201,10 @@ def exchange(
         replaced = next((e for e in result.effects if e.key == key), None)
         if replaced is None:
             continue
+        again = sought_again(result, replaced, search.crew)
+        if again is not result:
+            result = at_own_level(again)
+            replaced = next(e for e in result.effects if e.key == key)
         without = fit(result.workspace, [e for e in result.effects if e is not replaced])
         needed = without.energy - result.energy
         tried = polish(without, search.scan(without, replaced), needed, search.crew)

@@ -41,6 +41,8 @@ MOST_ON_JOINT = (
 )
 UNFITTED = 0.3  # share of its fitted size, or its square of the energy, at least, that a scan shows
 FAR_WORSE = 3.0  # times the least energy, from which a set is not fitted again on the level of another
+ASTRAY = 3.0  # times the places where a law's shape was looked for, beyond which it ran away from them
+CHANCE = 1.0  # energy that tells nothing
 ONSET_STEPS = (  # s, of the search for an onset, with a fit of the numbers after each row: a jump of an
     (0.25, 0.1, 0.04),  # encoder is seen to the sample, and dated wrongly explains nothing
     (0.015, 0.006, 0.002),
@@ -237,6 +239,29 @@ def on_one_level(fits: Sequence[Fit], crew: Crew) -> list[Fit]:
 
 def _refitted(task: tuple[Workspace, Sequence[Planned]]) -> Fit:
     return evaluated(fit(*task))
+
+
+def sought_again(result: Fit, effect: Planned, crew: Crew) -> Fit:
+    """A set of which the shape of an effect's law ran away from where it was looked for (a creep so slow that
+    it is a spring), with that effect fitted anew from every place there: far out the energy is flat, and no
+    fit finds back."""
+    lengths = [p.name for p in effect.effect.params if p.null is None and p.low > 0.0]
+    starts = result.workspace.starts(effect.effect, effect.joint)
+    looked = {name: [start[name] for start in starts if name in start] for name in lengths}
+    if not any(_astray(float(effect.values[name]), places) for name, places in looked.items()):
+        return result
+    shapes = dict.fromkeys(
+        tuple((name, start[name]) for name in lengths if name in start) for start in starts
+    )
+    others = [e for e in result.effects if e is not effect]
+    trials = [[*others, effect.with_values(dict(shape))] for shape in shapes]
+    fits = crew.map(_refitted, [(result.workspace, trial) for trial in trials])
+    best = min(fits, key=lambda f: f.energy)
+    return best if best.energy < result.energy - CHANCE else result
+
+
+def _astray(value: float, looked: Sequence[float]) -> bool:
+    return bool(looked) and not min(looked) / ASTRAY <= value <= max(looked) * ASTRAY
 
 
 def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
