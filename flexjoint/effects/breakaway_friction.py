@@ -33,4 +33,5 @@ class BreakawayFriction(Effect):
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
         travel = float(np.sum(np.abs(np.diff(s.theta))))  # many times the range of a joint that swings
-        return grid(self.params, distance=travel * np.geomspace(1e-4, 0.3, 8))
+        within = float(np.ptp(s.theta)) * np.geomspace(1e-3, 0.3, 6)
+        return grid(self.params, distance=[*within, 0.1 * travel, 0.3 * travel])
