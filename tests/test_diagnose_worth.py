@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from diagnose_cases import Case, as_recording, found_in, nominal, summary
-from planting import FULL, ROBOTS, Planted, plant
-from study.cases import make
+from planting import FULL, ROBOTS, Planted, plant, robot_file
+from study.cases import COUNTS, make
 from thorough import thorough
 
 from flexjoint.diagnose import trials, worth
@@ -32,6 +32,7 @@ from flexjoint.diagnose.worth import (
 )
 from flexjoint.diagnosis import Estimation, Finding, Fitted
 from flexjoint.effect import Planned, plan
+from flexjoint.robot import load
 
 CAUSES = (
     Planted("link_viscous_friction", "swing", {"coefficient": 1.3}),
@@ -82,6 +83,22 @@ def test_a_cause_that_makes_another_balance_wrong_is_none() -> None:
 
     assert contradicted(wrong, nothing)
     assert not contradicted(right, nothing)
+
+
+def test_next_to_nothing_of_a_sample_beside_a_lag_is_no_delay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a noisy command does between two samples is not recorded: a delay of a 27th of a sample makes that
+    smaller by far more than its price, where there is a lag of two samples only."""
+    monkeypatch.setitem(COUNTS, "drawn", 300)
+    machine = make("drawn", 293).case
+    recording, (lag,) = as_recording(machine.train()), machine.effects
+    workspace = Workspace(balances_of(load(robot_file(machine.robot)), recording))
+    without = fit(workspace, [plan(lag.effect, lag.joint, dict(lag.parameters))])
+    beside = [without.effects[0], plan("torque_delay", lag.joint, {"delay": 1e-4})]
+    trial = at_own_level(fit(workspace, beside))
+
+    assert trial.effects[1].values["delay"] < 1e-4
+    assert score(trial) < score(fit(trial.workspace, without.effects)) - 100.0
+    assert not worthwhile(trial, fit(trial.workspace, without.effects), trial.effects[1])
 
 
 @thorough

@@ -9,8 +9,9 @@ import numpy as np
 
 from flexjoint.diagnose.fit import Fit, covariance
 from flexjoint.diagnose.output_error import BLOCK, Estimate, Refinement
+from flexjoint.diagnose.reliability import followed
 from flexjoint.diagnose.shooting import Shooting, slot_label
-from flexjoint.diagnose.workspace import IMPLAUSIBLE
+from flexjoint.diagnose.workspace import IMPLAUSIBLE, PLAUSIBLE
 from flexjoint.diagnosis import Estimation, Finding
 from flexjoint.effect import Planned
 from flexjoint.errors import FlexJointError
@@ -25,6 +26,7 @@ SHORTER = 0.7  # share of it that windows of half the length must leave, to be t
 SELDOM = 0.02  # share of such windows that is no sign of windows that are too long
 MOST_OUTLYING = 0.2  # share of them that leaves a refinement without a basis
 FEWEST = 8  # windows
+FOLLOWED = 1.05  # squared residual per degree of freedom up to which the simulation follows the readings
 WORSE = 4.0  # times what chance takes, from which held-out windows speak against a refinement
 LESS_WELL = 1.2  # times the balances' standard errors, and
 CONFIRMED = 2.0  # of the simulation's, within which it confirms the balances' numbers
@@ -34,7 +36,9 @@ def refine(
     robot: Robot, recording: Recording, best: Fit, found: Sequence[Finding], workers: int = 1
 ) -> tuple[tuple[Finding, ...], Estimation]:
     """Findings with the numbers of their effects refined on the simulation, or as they are where that does
-    not serve: the estimation says which, and why. So many `workers` (processes) share the simulations."""
+    not serve: the estimation says which, and why. Where a position is missing, which the balances need, they
+    are believed more if the simulation follows the readings. So many `workers` (processes) share the
+    simulations."""
     refinement = _begun(robot, recording, best, workers)
     why = refinement if isinstance(refinement, str) else ""
     if not isinstance(refinement, str):
@@ -43,6 +47,8 @@ def refine(
         except (FlexJointError, np.linalg.LinAlgError) as error:
             why = str(error)
         else:
+            if best.workspace.motion.missing and _follows(estimate):
+                found = tuple(map(followed, found))
             why = _against(estimate) or _known_better(best, estimate)
             if not why:
                 effects = refinement.with_numbers(estimate.numbers)
@@ -133,6 +139,12 @@ def _trial(robot: Robot, recording: Recording, best: Fit, seconds: float, worker
 
 def _better(shorter: Refinement, longer: Refinement) -> bool:
     return shorter.level < SHORTER * longer.level or shorter.outlying < SHORTER * longer.outlying
+
+
+def _follows(estimate: Estimate) -> bool:
+    """Whether the simulation follows the readings to their noise, with nominal numbers that machines have."""
+    to_noise = estimate.level < FOLLOWED and estimate.outlying <= SELDOM
+    return bool(to_noise and estimate.settled and estimate.pulled <= PLAUSIBLE)
 
 
 def _against(estimate: Estimate) -> str:

@@ -41,6 +41,7 @@ CERTAIN_DATED = 1000.0  # ... more with an onset: over the whole record, one fit
 CERTAIN_LOUD = 1000.0  # energy of which a good part is not the noise's, whatever the law
 CALM_SHARE = 0.5  # of a smaller one, that a law must earn along the denoised recording
 LUCKY = 4.0  # sizes of the noise that it moves, which a shift or a lag must earn: chance gives 2, and chooses
+BETWEEN = 0.1  # of a sample, below which a shift beside another one is what is not known between samples
 AT_BOUND = 0.1  # relative distance from a shape's bound, or a size's upper one (all far outside of machines)
 BOUNDLESS = 30.0  # times a joint's RMS torque, or what a law shows, beyond which its own torque is none of it
 TOLERATED = 2.0  # prior deviations up to which a nominal number that is off is no cause
@@ -156,7 +157,7 @@ def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
 def _worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     if degenerate(trial.workspace, added) or score(trial) >= score(without):
         return False
-    if shared_by_tolerances(trial, without, added):
+    if shared_by_tolerances(trial, without, added) or _between_samples(trial, added):
         return False
     earned, left = explained(trial, without, added), leftover(trial)
     paid = price(trial) - price(without)
@@ -172,6 +173,19 @@ def _worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
     if contradicted(trial, without):
         return False
     return told_by_motion(trial, earned, added) and material(trial, added, earned)
+
+
+def _between_samples(trial: Fit, added: Planned) -> bool:
+    """Whether an effect shifts a command in time, beside another one that does, by next to nothing of a
+    sample: what a command does between two samples is not recorded, and a lag smooths it, where a delay does
+    not."""
+    shifts_time = added.effect.kind is Kind.TIMING and added.effect.site is Site.COMMAND
+    if not shifts_time or not any(
+        e is not added and e.joint == added.joint and e.effect.kind is Kind.TIMING for e in trial.effects
+    ):
+        return False
+    longest = max(abs(added.values[p.name]) for p in added.effect.params if p.unit == "s")
+    return bool(longest < BETWEEN * trial.workspace.readings.period)
 
 
 def strained(trial: Fit, other: Fit) -> bool:
