@@ -8,8 +8,9 @@ from functools import cache
 from planting import ENCODERS, FULL, MOTOR_ONLY, RAGGED, ROBOTS, Planted, Recorded, SensorSet, plant
 
 from flexjoint import recording, robot
-from flexjoint.diagnose import diagnose
-from flexjoint.diagnosis import Diagnosis, Finding
+from flexjoint.diagnose import diagnose, verdict
+from flexjoint.diagnose.fit import Fit
+from flexjoint.diagnosis import Diagnosis, Finding, Fitted
 from flexjoint.recording import Recording
 from flexjoint.robot import Robot
 
@@ -89,3 +90,17 @@ def _line(finding: Finding) -> str:
     ties = ", ".join(f"{t.effect}/{t.joint}" for t in finding.indistinguishable)
     since = "" if finding.since is None else f" since {finding.since:.2f}"
     return f"{finding.effect}/{finding.joint} p={finding.probability:.2f} ({values}){since} ~ [{ties}]"
+
+
+def findings_of(best: Fit) -> tuple[Finding, ...]:
+    """The effects of a fit as findings, with its standard errors and nothing said against them."""
+    errors = verdict.standard_errors(best)
+    out = []
+    for planned, std in zip(best.effects, errors, strict=True):
+        parameters = {
+            p.name: Fitted(planned.values[p.name], std[p.name][0], p.unit) for p in planned.effect.params
+        }
+        out.append(
+            Finding(planned.effect.name, planned.joint, 1.0, parameters, None, 1.0, "mechanical", planned)
+        )
+    return tuple(out)

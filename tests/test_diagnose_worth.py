@@ -18,7 +18,6 @@ from flexjoint.diagnose.candidates import enumerate_candidates
 from flexjoint.diagnose.deviations import held, judged_energy
 from flexjoint.diagnose.doubts import finer
 from flexjoint.diagnose.fit import Fit, fit
-from flexjoint.diagnose.reliability import LEAST, left_by, reliability
 from flexjoint.diagnose.scan import Scanner
 from flexjoint.diagnose.trials import date_onset, might_matter
 from flexjoint.diagnose.workspace import Workspace
@@ -107,28 +106,6 @@ def test_a_struck_cause_is_not_replaced_with_confidence() -> None:
 
     assert result.verdict == "unexplained", summary(result)
     assert all(f.probability < 0.5 for f in result.findings), summary(result)
-
-
-def test_a_name_is_believed_by_what_it_leaves() -> None:
-    """The cause itself leaves the noise; one that follows a part of the error leaves the rest."""
-    friction = Planted("motor_coulomb_friction", "turn", {"level": 0.4})
-    case = Case("turret_exact", "rich", 3)
-    true = fitted(case, friction, assumed=(plan("motor_coulomb_friction", "turn", {"level": 0.4}),))
-    other = fit(true.workspace, [plan("motor_viscous_friction", "turn", {"coefficient": 0.4})])
-    nothing = at_own_level(fit(true.workspace, []))
-    (left, share), (other_left, other_share) = (left_by(one, nothing, 0) for one in (true, other))
-
-    assert left < 30.0
-    assert other_left > 1000.0
-    assert share < 1e-3 < other_share
-    assert reliability(true, left, share) > 0.5
-    assert reliability(other, other_left, other_share) == LEAST
-    assert LEAST < reliability(other, other_left, share) < 0.5  # so thorough a cause stays a cause
-    strained = replace(true, workspace=true.workspace.at(true.workspace.temper, 2.0))
-    assert reliability(strained, left, share) < reliability(true, left, share)
-    two, three = (replace(true, effects=count * true.effects) for count in (2, 3))
-    assert reliability(two, left, share) == reliability(true, left, share)
-    assert reliability(three, left, share) < 0.5  # something that has no name is more likely
 
 
 def test_an_onset_is_found_in_a_few_fits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -399,19 +376,3 @@ def test_a_gap_below_the_step_of_an_encoder_is_not_seen(resolution: float, seen:
     assert degenerate(workspace, plan("backlash", "swing", {"gap": 2e-4})) is not seen
     assert not degenerate(workspace, plan("backlash", "swing", {"gap": 6e-4}))
     assert not degenerate(workspace, plan("link_encoder_offset", "swing", {"offset": 2e-4}))  # a mean
-
-
-def test_a_friction_lost_in_its_springs_noise_answers_for_what_its_link_shows() -> None:
-    """Two levels named as one: noisy angles hide it from the motor's balance by itself, in which the name
-    leaves 1.5 times the noise, and was believed with 0.95; in what motor and link show together it leaves
-    2900 times."""
-    two = Planted("asymmetric_friction", "swing", {"level_positive": 1.2, "level_negative": 0.2})
-    noisy = {"q": 2e-3, "theta": 2e-3, "dq": 5e-3, "dtheta": 5e-3, "tau_t": 0.05}
-    sensors = replace(FULL, noise=noisy, noisy_feedback=False)
-    recorded = plant(ROBOTS / "lever_exact.yaml", [two], "rich", 8.0, 3, sensors)
-    workspace = Workspace(balances_of(nominal("lever_exact"), as_recording(recorded)))
-    one = fit(workspace, [plan("motor_coulomb_friction", "swing", {"level": 0.7})])
-    left, share = left_by(one, at_own_level(fit(workspace, [])), 0)
-
-    assert left > 300.0
-    assert reliability(one, left, share) == LEAST

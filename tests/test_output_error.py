@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnose_cases import Case, as_recording, nominal
+from diagnose_cases import Case, as_recording, findings_of, nominal
 from planting import NO_COMMAND, ROBOTS, Planted, plant
 
 from flexjoint import effect, sensitivities
 from flexjoint.clockwork import readings, rollout
-from flexjoint.diagnose import diagnose, extended_model, refined, verdict
+from flexjoint.diagnose import diagnose, extended_model, refined
 from flexjoint.diagnose.balances import balances_of
 from flexjoint.diagnose.fit import Fit, fit
 from flexjoint.diagnose.shooting import Reduced, Shooting
@@ -211,19 +211,6 @@ def balanced(k: int) -> tuple[Robot, Recording, Fit]:
     return robot, recording, at_own_level(fit(workspace, effects))
 
 
-def findings_of(best: Fit) -> tuple[Finding, ...]:
-    errors = verdict.standard_errors(best)
-    out = []
-    for planned, std in zip(best.effects, errors, strict=True):
-        parameters = {
-            p.name: Fitted(planned.values[p.name], std[p.name][0], p.unit) for p in planned.effect.params
-        }
-        out.append(
-            Finding(planned.effect.name, planned.joint, 1.0, parameters, None, 1.0, "mechanical", planned)
-        )
-    return tuple(out)
-
-
 @cache
 def result(k: int) -> tuple[Finding, Estimation]:
     robot, recording, best = balanced(k)
@@ -328,42 +315,6 @@ def test_a_model_that_does_not_follow_keeps_the_balances_numbers() -> None:
     assert found == before
     assert estimation.method == "balances"
     assert estimation.why
-
-
-def believed(case: Case, planted: Planted, told: Planned, before: tuple[float, float]) -> tuple[float, float]:
-    """Probability and reliability of a finding once its numbers are refined."""
-    robot, recording = nominal(case.robot), as_recording(case.with_causes(planted))
-    best = at_own_level(fit(Workspace(balances_of(robot, recording)), [told]))
-    probability, reliability = before
-    doubted = [replace(f, probability=probability, reliability=reliability) for f in findings_of(best)]
-    found = refined.refine(robot, recording, best, doubted)[0][0]
-    return found.probability, found.reliability
-
-
-FRICTION = cause("motor_coulomb_friction", "swing", level=1.5)
-
-
-@pytest.mark.parametrize("before", [(0.1, 0.2), (0.3, 0.3), (0.9, 0.95)])
-def test_a_cause_with_which_the_simulation_follows_is_believed(before: tuple[float, float]) -> None:
-    """Of the motor's side alone, whatever it leaves in the balances; its ties share what it is believed."""
-    told = effect.plan("motor_coulomb_friction", "swing", {"level": 1.0})
-    probability, reliability = believed(Case("lever", "rich", 61, "motor_only"), FRICTION, told, before)
-
-    assert reliability == max(0.5, before[1])
-    assert probability == pytest.approx(before[0] / before[1] * reliability)
-
-
-@pytest.mark.parametrize("sensors", ["motor_only", "full"])
-def test_what_stands_in_for_a_cause_is_not_believed_more(sensors: str) -> None:
-    told = effect.plan("motor_viscous_friction", "swing", {"coefficient": 0.5})
-
-    assert believed(Case("lever", "rich", 61, sensors), FRICTION, told, (0.1, 0.2)) == (0.1, 0.2)
-
-
-def test_what_is_left_of_positions_that_are_all_measured_counts() -> None:
-    told = effect.plan("motor_coulomb_friction", "swing", {"level": 1.0})
-
-    assert believed(Case("lever", "rich", 61), FRICTION, told, (0.1, 0.2)) == (0.1, 0.2)
 
 
 @pytest.mark.parametrize("later", [0, 2, 3])
