@@ -26,7 +26,7 @@ SHORTER = 0.7  # share of it that windows of half the length must leave, to be t
 SELDOM = 0.02  # share of such windows that is no sign of windows that are too long
 MOST_OUTLYING = 0.2  # share of them that leaves a refinement without a basis
 FEWEST = 8  # windows
-FOLLOWED = 1.05  # squared residual per degree of freedom up to which the simulation follows the readings
+TO_NOISE = 1.05  # squared residual per degree of freedom up to which the simulation follows the readings
 WORSE = 4.0  # times what chance takes, from which held-out windows speak against a refinement
 LESS_WELL = 1.2  # times the balances' standard errors, and
 CONFIRMED = 2.0  # of the simulation's, within which it confirms the balances' numbers
@@ -143,7 +143,7 @@ def _better(shorter: Refinement, longer: Refinement) -> bool:
 
 def _follows(estimate: Estimate) -> bool:
     """Whether the simulation follows the readings to their noise, with nominal numbers that machines have."""
-    to_noise = estimate.level < FOLLOWED and estimate.outlying <= SELDOM
+    to_noise = estimate.level < TO_NOISE and estimate.outlying <= SELDOM
     return bool(to_noise and estimate.settled and estimate.pulled <= PLAUSIBLE)
 
 

@@ -65,7 +65,8 @@ def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
 
 def followed(finding: Finding) -> Finding:
     """A finding with whose numbers the simulation follows the readings to their noise: what it leaves in the
-    balances is their own error (a kink that is filtered, a motion made of the nominal model)."""
+    balances may be their own error (a motion made of the nominal model). A near relative of the true effect
+    may follow, too (a limit of the torque for one of the speed), so the name is even odds at most by this."""
     believed = max(finding.reliability, FOLLOWED)
     return replace(
         finding, reliability=believed, probability=finding.probability / finding.reliability * believed

@@ -176,9 +176,9 @@ def _worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
 
 
 def _between_samples(trial: Fit, added: Planned) -> bool:
-    """Whether an effect shifts a command in time, beside another one that does, by next to nothing of a
-    sample: what a command does between two samples is not recorded, and a lag smooths it, where a delay does
-    not."""
+    """Whether an effect shifts a command in time by next to nothing of a sample, beside another cause of
+    timing on its joint: what a command does between two samples is not recorded, and a lag smooths it, where
+    a delay does not."""
     shifts_time = added.effect.kind is Kind.TIMING and added.effect.site is Site.COMMAND
     if not shifts_time or not any(
         e is not added and e.joint == added.joint and e.effect.kind is Kind.TIMING for e in trial.effects
