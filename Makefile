@@ -11,11 +11,11 @@ export OMP_NUM_THREADS ?= 1
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
-	@echo "make test   style, types and tests"
+	@echo "make test   make lint, and tests"
 	@echo "make test-all   these and the long tests, which diagnose a lot: half an hour or more; .ci/run runs them"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
-	@echo "make lint   style and types only"
-	@echo "make docs   regenerate docs/effects.md"
+	@echo "make lint   style, types and who imports whom"
+	@echo "make docs   regenerate docs/effects.md, docs/settings.md and the table in docs/architecture.md"
 	@echo "make pictures   draw the pictures of effect_of_stiffness and centauro (notebooks) anew; needs Chromium"
 	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
 	@echo "make clean  remove .venv and everything that was built"
@@ -43,14 +43,18 @@ lint: .venv/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 docs: .venv/.demo
 	$(BIN)/flexjoint effects --markdown > docs/effects.md.new
 	mv docs/effects.md.new docs/effects.md
+	$(BIN)/python -c "from flexjoint.diagnosis.settings import settings_page; print(settings_page(), end='')" > docs/settings.md.new
+	mv docs/settings.md.new docs/settings.md
+	$(BIN)/python docs/modules.py
 
 pictures: .venv/.test
 	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \
-	$(BIN)/python -m pytest tests/test_notebooks.py -k "runs_and_draws and (effect_of_stiffness or centauro)"
+	$(BIN)/python -m pytest tests/acceptance/test_notebooks.py -k "runs_and_draws and (effect_of_stiffness or centauro)"
 
 bench: .venv/.bench
 	$(BIN)/python -m bench

@@ -22,23 +22,25 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.rival import INTEGRATORS, Rival
-from flexjoint import engine
-from flexjoint.batch import closed_loops
-from flexjoint.compiled import compiled_for
-from flexjoint.control import MotorPD, law_of
-from flexjoint.integrate import DEFAULT, SCHEMES
-from flexjoint.model import FlexibleJointModel
-from flexjoint.robot import Robot
+from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.robot.robot import Robot
+from flexjoint.simulation.batch import closed_loops
+from flexjoint.simulation.compiled import compiled_for
+from flexjoint.simulation.controllers import MotorPD, law_of
+from flexjoint.simulation.engine import job_of
+from flexjoint.simulation.options import Engine, RunOptions
+from flexjoint.simulation.rollout import closed_loop
+from flexjoint.simulation.schemes import DEFAULT, SCHEMES
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from arms import PENDULUM, PLANAR, make
-from example_robots import centauro, ur5
+from support.arms import PENDULUM, PLANAR, make
+from support.example_robots import centauro, ur5
 
 RATE, CONTROL = 2000.0, 1000.0
 SECONDS = 0.5  # of the motion whose error is measured
 FINE = 64_000.0  # steps per second of the tight solution
 CHUNK, ROUNDS = 2e-3, 250  # seconds a chunk lasts about; rounds of all contenders
-SMALL = 6  # joints up to which explicit schemes of order 1 hold at this rate
+SMALL = 6  # joints up to which explicit schemes of order 1 are stable at this rate
 RATES = {"physics": RATE, "control": CONTROL}
 ROBOTS: dict[str, Callable[[], Robot]] = {
     "one link": partial(make, PENDULUM, rates=RATES),
@@ -67,11 +69,11 @@ def references(n: int, seconds: float) -> dict[str, np.ndarray]:
     return {"q_ref": theta, "theta_ref": theta, "dtheta_ref": zero, "tau_ff": zero}
 
 
-def by_us(robot: Robot, scheme: str, rate: float, seconds: float, kind: engine.Engine) -> np.ndarray:
+def by_us(robot: Robot, scheme: str, rate: float, seconds: float, kind: Engine) -> np.ndarray:
     """(ticks + 1, n) link positions at control ticks."""
     model, law = FlexibleJointModel(robot), law_of(robot)
     table = references(len(robot.joints), seconds)
-    tape = engine.closed_loop(model, model.rest(), law, table, rate, None, scheme, engine=kind)
+    tape = closed_loop(model, model.rest(), law, table, RunOptions(rate=rate, scheme=scheme, engine=kind))
     return tape.q[tape.first :: round(rate / CONTROL)]
 
 
@@ -105,11 +107,11 @@ def ours(robot: Robot, exact: np.ndarray) -> list[Contender]:
     found = []
     schemes = [DEFAULT, "rk4"]
     if len(robot.joints) <= SMALL:
-        schemes += [name for name in SCHEMES if name not in schemes and name != engine.ADAPTIVE]
+        schemes += [name for name in SCHEMES if name not in schemes and not SCHEMES[name].adaptive]
     for scheme in schemes:
         q = by_us(robot, scheme, RATE, SECONDS, "compiled")
-        compiled = compiled_for(model, RATE, law, tuple(table), scheme)
-        job = engine.job_of(compiled, model, model.rest(), law, compiled.references(table))
+        compiled = compiled_for(model, RunOptions(rate=RATE, scheme=scheme), law=law, references=tuple(table))
+        job = job_of(compiled, model, model.rest(), law, compiled.references(table))
         error = float(np.max(np.abs(q - exact)))
         found.append(Contender(f"ours, {scheme}", partial(compiled.run, job, stride=-1), job.steps, error))
         if scheme == DEFAULT:
@@ -117,7 +119,7 @@ def ours(robot: Robot, exact: np.ndarray) -> list[Contender]:
             summary = partial(compiled.run, job, stride=-1, summary=True)
             found.append(Contender("   summaries only", summary, job.steps))
     short = {name: rows[:10] for name, rows in table.items()}
-    loop = partial(engine.closed_loop, model, model.rest(), law, short, RATE, engine="pin")
+    loop = partial(closed_loop, model, model.rest(), law, short, RunOptions(rate=RATE, engine="pin"))
     found.append(Contender("our pin loop (Python)", loop, 20))
     return found
 
@@ -199,7 +201,15 @@ def batches(console: Console) -> None:
         taken = []
         for _ in range(5):
             begin = time.perf_counter()
-            closed_loops(model, model.rest(), law, table, RATE, stiffness, engine="compiled", workers=workers)
+            closed_loops(
+                model,
+                model.rest(),
+                law,
+                table,
+                RunOptions(rate=RATE, engine="compiled"),
+                parameters=stiffness,
+                workers=workers,
+            )
             taken.append(time.perf_counter() - begin)
         console.print(
             f"CENTAURO, 64 rollouts of {SECONDS} s, summaries only, {workers or 'all'} worker(s):"
@@ -209,7 +219,7 @@ def batches(console: Console) -> None:
 
 def main() -> None:
     console = Console(width=100)
-    mujoco.set_mju_user_warning(lambda _: None)  # divergence is told in the table, not in a log file
+    mujoco.set_mju_user_warning(lambda _: None)  # divergence is shown in the table, not in a log file
     console.print(f"flexjoint against pin {pin.__version__} and MuJoCo {mujoco.__version__}")
     for name, robot in ROBOTS.items():
         if len(sys.argv) == 1 or name in sys.argv[1:]:

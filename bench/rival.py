@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from flexjoint.robot import Robot
+from flexjoint.robot.robot import Robot
 
 INTEGRATORS = ("Euler", "implicitfast", "implicit", "RK4", "discrete")  # the last from MuJoCo 3.13 on
 SPECK = 1e-9  # mass [kg] and inertia [kg m^2] of a rotor's body beside its armature: MuJoCo wants some

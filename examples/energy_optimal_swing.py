@@ -12,9 +12,10 @@ import math
 import casadi as ca
 import numpy as np
 
-from flexjoint.model import FlexibleJointModel
-from flexjoint.robot import load
-from flexjoint.symbolic import SymbolicModel
+from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.model.symbolic import SymbolicModel
+from flexjoint.robot.robot import load
+from flexjoint.simulation.schemes.discrete import DiscreteModel
 
 RATE = 200.0  # steps per second
 HOLD = 4  # steps for which a torque is held
@@ -32,7 +33,7 @@ def swing() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     robot = load("rrbot_last_joint")
     symbolic, numeric = SymbolicModel(robot, free=("drives",)), FlexibleJointModel(robot)
     parameters = symbolic.set_values(SOFT)
-    discrete = symbolic.discrete(RATE)
+    discrete = DiscreteModel(symbolic, RATE)
     step = discrete.step()
 
     x0, u, t = ca.MX.sym("x", discrete.size), ca.MX.sym("u", 1), ca.MX.sym("t")

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from flexjoint import FlexibleJointModel, load_robot, testing
-from flexjoint.control import law_of
-from flexjoint.engine import closed_loop
-from flexjoint.profile import tomei
-from flexjoint.start import at_rest
-from flexjoint.trajectory import Trajectory
+from flexjoint.model.statics.start import at_rest
+from flexjoint.simulation.controllers import law_of
+from flexjoint.simulation.options import RunOptions
+from flexjoint.simulation.references import tomei
+from flexjoint.simulation.rollout import closed_loop
+from flexjoint.simulation.trajectory import Trajectory
 
 ROBOT = "ur5"  # or the path of your YAML
 GOLDEN = Path(__file__).parent / "golden" / "my_robot.parquet"
@@ -33,9 +34,8 @@ def reference(model: FlexibleJointModel) -> dict[str, np.ndarray]:
 
 def reach(robot: str = ROBOT) -> Trajectory:
     model = FlexibleJointModel(load_robot(robot))
-    return closed_loop(
-        model, at_rest(model, START), law_of(model.robot), reference(model), RATE, engine="pin"
-    )
+    options = RunOptions(rate=RATE, engine="pin")
+    return closed_loop(model, at_rest(model, START), law_of(model.robot), reference(model), options)
 
 
 @pytest.fixture(scope="module")

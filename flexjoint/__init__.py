@@ -1,8 +1,12 @@
 """Simulate, analyse and diagnose robots with series elastic actuators and flexible joints.
 
-The values that pass from stage to stage, and what reads and writes them, are named here; the stages are
-functions in the module of their name: `flexjoint.simulate.simulate`, `flexjoint.compare.compare`,
-`flexjoint.diagnose.diagnose`. Nothing is imported before it is asked for.
+    import flexjoint as fj
+
+    robot = fj.load_robot("kr300")
+    diagnosis = fj.diagnose(robot, fj.read_recording("rec_A.parquet"))
+    print(diagnosis)
+
+The robot or the model comes first, the data second. Nothing is imported before it is asked for.
 """
 
 from __future__ import annotations
@@ -10,20 +14,32 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from flexjoint.compare import Comparison
-    from flexjoint.diagnosis import Diagnosis
-    from flexjoint.effect import Effect, catalogue, plan
-    from flexjoint.errors import FlexJointError
-    from flexjoint.live import LiveSimulation
-    from flexjoint.model import FlexibleJointModel
-    from flexjoint.recording import Recording
-    from flexjoint.recording import read as read_recording
-    from flexjoint.recording import write as write_recording
-    from flexjoint.robot import Robot
-    from flexjoint.robot import load as load_robot
-    from flexjoint.robot import write as write_robot
-    from flexjoint.symbolic_functions import rigid_body_functions
+if TYPE_CHECKING:  # what type checkers and editors see of the table below
+    from flexjoint.core.errors import FlexJointError
+    from flexjoint.core.parameter import Parameter
+    from flexjoint.design.gains import lqr, motor_pd, place
+    from flexjoint.design.linearise import linearise
+    from flexjoint.design.margins import margins
+    from flexjoint.design.robustness import worst_case
+    from flexjoint.design.tomei import tomei
+    from flexjoint.design.verification import verify
+    from flexjoint.diagnosis.comparison.compare import Comparison, compare
+    from flexjoint.diagnosis.experiment import Plan, plan
+    from flexjoint.diagnosis.pipeline import diagnose
+    from flexjoint.diagnosis.result import Diagnosis
+    from flexjoint.effects import Effect, catalogue, effect
+    from flexjoint.model.dynamics import FlexibleJointModel
+    from flexjoint.model.statics.equilibrium import equilibrium
+    from flexjoint.model.statics.static_law import static_error
+    from flexjoint.recording.table import Recording
+    from flexjoint.recording.table import make as make_recording
+    from flexjoint.recording.table import read as read_recording
+    from flexjoint.report.view import view
+    from flexjoint.rigidbody.functions import rigid_body_functions
+    from flexjoint.robot.robot import Robot, shipped_robots
+    from flexjoint.robot.robot import load as load_robot
+    from flexjoint.simulation.live import LiveSimulation
+    from flexjoint.simulation.simulate import Simulation, simulate
 
 __all__ = [
     "Comparison",
@@ -32,42 +48,86 @@ __all__ = [
     "FlexJointError",
     "FlexibleJointModel",
     "LiveSimulation",
+    "Parameter",
+    "Plan",
     "Recording",
     "Robot",
+    "Simulation",
     "catalogue",
+    "compare",
+    "diagnose",
+    "effect",
+    "equilibrium",
+    "linearise",
     "load_robot",
+    "lqr",
+    "make_recording",
+    "margins",
+    "motor_pd",
+    "place",
     "plan",
     "read_recording",
     "rigid_body_functions",
-    "write_recording",
-    "write_robot",
+    "shipped_robots",
+    "simulate",
+    "static_error",
+    "tomei",
+    "verify",
+    "view",
+    "worst_case",
 ]
 
-_PLACES = {
-    "Comparison": ("compare", "Comparison"),
-    "Diagnosis": ("diagnosis", "Diagnosis"),
-    "Effect": ("effect", "Effect"),
-    "FlexJointError": ("errors", "FlexJointError"),
-    "FlexibleJointModel": ("model", "FlexibleJointModel"),
-    "LiveSimulation": ("live", "LiveSimulation"),
-    "Recording": ("recording", "Recording"),
-    "Robot": ("robot", "Robot"),
-    "rigid_body_functions": ("symbolic_functions", "rigid_body_functions"),
-    "catalogue": ("effect", "catalogue"),
-    "load_robot": ("robot", "load"),
-    "plan": ("effect", "plan"),
-    "read_recording": ("recording", "read"),
-    "write_recording": ("recording", "write"),
-    "write_robot": ("robot", "write"),
+_PLACES = {  # name: module and what it is called there
+    "Comparison": ("diagnosis.comparison.compare", "Comparison"),
+    "Diagnosis": ("diagnosis.result", "Diagnosis"),
+    "Effect": ("effects", "Effect"),
+    "FlexJointError": ("core.errors", "FlexJointError"),
+    "FlexibleJointModel": ("model.dynamics", "FlexibleJointModel"),
+    "LiveSimulation": ("simulation.live", "LiveSimulation"),
+    "Parameter": ("core.parameter", "Parameter"),
+    "Plan": ("diagnosis.experiment", "Plan"),
+    "Recording": ("recording.table", "Recording"),
+    "Robot": ("robot.robot", "Robot"),
+    "Simulation": ("simulation.simulate", "Simulation"),
+    "catalogue": ("effects", "catalogue"),
+    "compare": ("diagnosis.comparison.compare", "compare"),
+    "diagnose": ("diagnosis.pipeline", "diagnose"),
+    "effect": ("effects", "effect"),
+    "equilibrium": ("model.statics.equilibrium", "equilibrium"),
+    "linearise": ("design.linearise", "linearise"),
+    "load_robot": ("robot.robot", "load"),
+    "lqr": ("design.gains", "lqr"),
+    "make_recording": ("recording.table", "make"),
+    "margins": ("design.margins", "margins"),
+    "motor_pd": ("design.gains", "motor_pd"),
+    "place": ("design.gains", "place"),
+    "plan": ("diagnosis.experiment", "plan"),
+    "read_recording": ("recording.table", "read"),
+    "rigid_body_functions": ("rigidbody.functions", "rigid_body_functions"),
+    "shipped_robots": ("robot.robot", "shipped_robots"),
+    "simulate": ("simulation.simulate", "simulate"),
+    "static_error": ("model.statics.static_law", "static_error"),
+    "tomei": ("design.tomei", "tomei"),
+    "verify": ("design.verification", "verify"),
+    "view": ("report.view", "view"),
+    "worst_case": ("design.robustness", "worst_case"),
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
-        raise AttributeError(f"module 'flexjoint' has no attribute {name!r}")
+        raise AttributeError(f"module 'flexjoint' has no attribute {name!r}{_near(name)}")
     module, attribute = _PLACES[name]
     return getattr(importlib.import_module(f"flexjoint.{module}"), attribute)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__
+
+
+def _near(name: str) -> str:
+    """The names that come close, as the end of a message."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, __all__)
+    return f"; did you mean {' or '.join(near)}?" if near else "; dir(flexjoint) lists its names"

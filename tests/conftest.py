@@ -6,13 +6,13 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-import fake_diagnosis
 import pytest
+from support import fake_diagnosis
 
-from flexjoint import recording
-from flexjoint.compiled import cache
-from flexjoint.diagnose.crew import WORKERS
-from flexjoint.robot import Robot
+from flexjoint.core.worker_pool import WORKERS
+from flexjoint.recording import table as recording
+from flexjoint.robot.robot import Robot
+from flexjoint.simulation.compiled import cache
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # the cores are taken by the tests beside each other
     os.environ.setdefault(WORKERS, "1")

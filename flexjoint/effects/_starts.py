@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from flexjoint.effect import Param, Signals
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Signals
 
 MAX_CYCLES = 60
 RIPPLES = 2  # strongest ripples of a signal that are tried, on each scale
@@ -18,7 +19,7 @@ BINS = 1 << 16  # of the angle's range
 PHASES = (0.0, 2 * pi / 3, -2 * pi / 3)
 
 
-def grid(params: tuple[Param, ...], **values: Iterable[Any]) -> tuple[dict[str, float], ...]:
+def grid(params: tuple[Parameter, ...], **values: Iterable[Any]) -> tuple[dict[str, float], ...]:
     """One start per combination of the values, each held inside its parameter's bounds, equal ones once."""
     bounds = {p.name: p for p in params}
     axes = []
@@ -57,7 +58,7 @@ def ripple_cycles(angle: Any, signal: Any, known: Iterable[Any], t: Any) -> tupl
     beyond what is linear in the `known` signals.
 
     The peaks of the periodogram over the angle, with samples gathered in fine bins of it; only ripples that
-    the motion covers at least twice, and samples at least thrice a period, can be told.
+    the motion covers at least twice, and samples at least thrice a period, can be distinguished.
     """
     angle, signal = np.asarray(angle, float), np.asarray(signal, float)
     travel = float(np.ptp(angle))
@@ -70,15 +71,15 @@ def ripple_cycles(angle: Any, signal: Any, known: Iterable[Any], t: Any) -> tupl
     rest = signal - columns @ np.linalg.lstsq(columns, signal, rcond=1e-9)[0]
     place = np.minimum(((angle - angle.min()) / travel * BINS).astype(int), BINS - 1)
     cycles = 2.0 * pi / travel * np.arange(2 * BINS + 1) / 4.0
-    told = (cycles >= 4.0 * pi / travel) & (cycles <= 2.0 * pi / (3.0 * period * speed))
-    told &= cycles <= 2.0 * pi / travel * BINS / 16.0  # a bin must be a small part of a period
+    visible = (cycles >= 4.0 * pi / travel) & (cycles <= 2.0 * pi / (3.0 * period * speed))
+    visible &= cycles <= 2.0 * pi / travel * BINS / 16.0  # a bin must be a small part of a period
     found: list[float] = []
     for scale in SLOW:
         if angle.size < 4.0 * scale / period:
             break
         fast = rest - gaussian_filter1d(rest, scale / period)
         gathered = np.bincount(place, weights=fast, minlength=BINS)
-        power = np.where(told, np.abs(np.fft.rfft(gathered, 4 * BINS)) ** 2, 0.0)
+        power = np.where(visible, np.abs(np.fft.rfft(gathered, 4 * BINS)) ** 2, 0.0)
         for top in found:
             power[np.abs(cycles - top) < 4.0 * pi / travel] = 0.0
         for _ in range(RIPPLES):

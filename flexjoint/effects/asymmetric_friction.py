@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class AsymmetricFriction(Effect):
@@ -16,8 +17,8 @@ class AsymmetricFriction(Effect):
     site, against, reference = Site.MOTOR, "dtheta", "Armstrong-Helouvry 1991 (direction-dependent friction)"
     law = r"\tau_+ \text{ if } \dot\theta > 0,\ -\tau_- \text{ if } \dot\theta < 0"
     params = (
-        Param("level_positive", "N m", r"\tau_+", 0.3, 0.0, 1e4),
-        Param("level_negative", "N m", r"\tau_-", 0.2, 0.0, 1e4),
+        Parameter("level_positive", "N m", r"\tau_+", value=0.3, low=0.0, high=1e4),
+        Parameter("level_negative", "N m", r"\tau_-", value=0.2, low=0.0, high=1e4),
     )
     contains = ("motor_coulomb_friction",)
     alike = ("level_positive", "level_negative")

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class Backlash(Effect):
@@ -15,7 +16,7 @@ class Backlash(Effect):
 
     site, against, reference = Site.DEFLECTION, "phi", "Nordin and Gutman 2002 (dead-zone model)"
     law = r"\phi - \operatorname{clip}(\phi, \pm g/2)"
-    params = (Param("gap", "rad", "g", 1e-3, 0.0, 0.5),)
+    params = (Parameter("gap", "rad", "g", value=1e-3, low=0.0, high=0.5),)
     needs_spring = True
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:

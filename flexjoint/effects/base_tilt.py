@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Kind, Param, Site
+from flexjoint.core import ops
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Site
 
 
 class BaseTilt(Effect):
@@ -12,8 +13,8 @@ class BaseTilt(Effect):
     site, kind, against, reference = Site.BODY, Kind.MECHANICAL, "q", "Craig 2005, section 2.8 (roll, pitch)"
     law = r"g' = (R_x(\alpha) R_y(\beta))^T g"
     params = (
-        Param("roll", "rad", r"\alpha", 0.0, -3.2, 3.2),
-        Param("pitch", "rad", r"\beta", 0.0, -3.2, 3.2),
+        Parameter("roll", "rad", r"\alpha", value=0.0, low=-3.2, high=3.2),
+        Parameter("pitch", "rad", r"\beta", value=0.0, low=-3.2, high=3.2),
     )
     whole_robot = True
 

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class BreakawayFriction(Effect):
@@ -20,8 +21,8 @@ class BreakawayFriction(Effect):
     site, against, reference = Site.MOTOR, "t", "Dieterich 1979 and Ruina 1983 (slip law), after a rest"
     law = r"\tau_b\, z \operatorname{sgn}\dot\theta,\ \dot z = -\frac{|\dot\theta|}{d} z,\ z(0) = 1"
     params = (
-        Param("level", "N m", r"\tau_b", 0.2, 0.0, 1e4),
-        Param("distance", "rad", "d", 0.01, 1e-6, 100.0, null=None),
+        Parameter("level", "N m", r"\tau_b", value=0.2, low=0.0, high=1e4),
+        Parameter("distance", "rad", "d", value=0.01, low=1e-6, high=100.0, null=None),
     )
     states = (1.0,)
 

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class CableSpring(Effect):
@@ -15,8 +16,8 @@ class CableSpring(Effect):
     site, against, reference = Site.LINK, "q", "formats: stiffness (rest - q)"
     law = r"k\,(q_0 - q)"
     params = (
-        Param("stiffness", "N m/rad", "k", 1.0, 0.0, 1e7),
-        Param("rest", "rad", "q_0", 0.0, -100.0, 100.0, null=None),
+        Parameter("stiffness", "N m/rad", "k", value=1.0, low=0.0, high=1e7),
+        Parameter("rest", "rad", "q_0", value=0.0, low=-100.0, high=100.0, null=None),
     )
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:

@@ -2,10 +2,11 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import PHASES, grid, ripple_cycles, whole_cycles
-from flexjoint.ops import Value
 
 
 class Cogging(Effect):
@@ -14,9 +15,9 @@ class Cogging(Effect):
     site, against, reference = Site.COMMAND, "theta", "Hanselman 2006 (cogging torque)"
     law = r"\tau = \tau_m + a \sin(n \theta + \psi)"
     params = (
-        Param("amplitude", "N m", "a", 0.2, 0.0, 1e4),
-        Param("cycles", "1", "n", 12.0, 0.5, 5e3, null=None, step=0.01),
-        Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
+        Parameter("amplitude", "N m", "a", value=0.2, low=0.0, high=1e4),
+        Parameter("cycles", "1", "n", value=12.0, low=0.5, high=5e3, null=None, step=0.01),
+        Parameter("phase", "rad", r"\psi", value=0.0, low=-7.0, high=7.0, null=None, wraps=True),
     )
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:

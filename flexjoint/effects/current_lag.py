@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Kind, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 SHORTEST = 1e-7  # s, below which a lag is none
 
@@ -25,7 +26,7 @@ class CurrentLag(Effect):
         "Hughes and Drury 2013, chapter 4 (current loop)",
     )
     law = r"\tau = z,\ \dot z = (\tau_m - z)/T"
-    params = (Param("time_constant", "s", "T", 2e-3, 0.0, 0.5),)
+    params = (Parameter("time_constant", "s", "T", value=2e-3, low=0.0, high=0.5),)
     states = (0.0,)
     known_as = ("torque_delay",)
 
@@ -35,7 +36,7 @@ class CurrentLag(Effect):
     def rate(self, s: Signals, p: Any, z: Value) -> Value:
         return (s.tau_m - z) / ops.maximum(p.time_constant, SHORTEST)
 
-    def settled(self, s: Signals, p: Any) -> Value:
+    def steady_state(self, s: Signals, p: Any) -> Value:
         return s.tau_m
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:

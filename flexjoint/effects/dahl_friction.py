@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class DahlFriction(Effect):
@@ -19,8 +20,8 @@ class DahlFriction(Effect):
     site, against, reference = Site.MOTOR, "theta", "Dahl 1976"
     law = r"z,\ \dot z = \dot\theta\,\frac{l}{s}\left(1 - \frac{z}{l}\operatorname{sgn}\dot\theta\right)"
     params = (
-        Param("level", "N m", "l", 0.2, 0.0, 1e4),
-        Param("scale", "rad", "s", 3e-3, 1e-6, 1.0, null=None),
+        Parameter("level", "N m", "l", value=0.2, low=0.0, high=1e4),
+        Parameter("scale", "rad", "s", value=3e-3, low=1e-6, high=1.0, null=None),
     )
     states = (0.0,)
     contains = ("motor_coulomb_friction",)

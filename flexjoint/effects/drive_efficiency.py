@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class DriveEfficiency(Effect):
@@ -20,8 +21,8 @@ class DriveEfficiency(Effect):
         r"\mu = \mu_d \text{ if } \tau_t\dot\theta \geq 0,\ \mu_b \text{ if } \tau_t\dot\theta < 0"
     )
     params = (
-        Param("loss_driving", "1", r"\mu_d", 0.1, 0.0, 20.0),
-        Param("loss_backdriving", "1", r"\mu_b", 0.2, 0.0, 20.0),
+        Parameter("loss_driving", "1", r"\mu_d", value=0.1, low=0.0, high=20.0),
+        Parameter("loss_backdriving", "1", r"\mu_b", value=0.2, low=0.0, high=20.0),
     )
     contains = ("load_friction",)
     alike = ("loss_driving", "loss_backdriving")

@@ -2,10 +2,11 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Kind, Param, Signals, Site, Word
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Signals, Site, Word
 from flexjoint.effects._starts import PHASES, grid
-from flexjoint.ops import Value
 
 
 class EncoderEccentricity(Effect):
@@ -15,8 +16,8 @@ class EncoderEccentricity(Effect):
     reference = "geometry: first harmonic of a disc turning about an axis beside its centre"
     law = r"y = x + a \sin(x + \psi)"
     params = (
-        Param("amplitude", "rad", "a", 1e-3, 0.0, 0.5),
-        Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
+        Parameter("amplitude", "rad", "a", value=1e-3, low=0.0, high=0.5),
+        Parameter("phase", "rad", r"\psi", value=0.0, low=-7.0, high=7.0, null=None, wraps=True),
     )
     words = (Word("channel", ("q", "theta"), "q"),)
 

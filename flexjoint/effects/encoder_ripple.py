@@ -2,10 +2,11 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Kind, Param, Signals, Site, Word
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Signals, Site, Word
 from flexjoint.effects._starts import PHASES, few_periods, grid, ripple_cycles
-from flexjoint.ops import Value
 
 
 class EncoderRipple(Effect):
@@ -16,9 +17,9 @@ class EncoderRipple(Effect):
     reference = "Kavanagh 2001 (errors of encoders within a line)"
     law = r"y = x + a \sin(n x + \psi)"
     params = (
-        Param("amplitude", "rad", "a", 1e-4, 0.0, 0.5),
-        Param("cycles", "1", "n", 1024.0, 1.5, 1e6, null=None, step=0.01),
-        Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
+        Parameter("amplitude", "rad", "a", value=1e-4, low=0.0, high=0.5),
+        Parameter("cycles", "1", "n", value=1024.0, low=1.5, high=1e6, null=None, step=0.01),
+        Parameter("phase", "rad", r"\psi", value=0.0, low=-7.0, high=7.0, null=None, wraps=True),
     )
     words = (Word("channel", ("q", "theta"), "q"),)
 

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class EndStop(Effect):
@@ -16,8 +17,8 @@ class EndStop(Effect):
     site, against, reference = Site.LINK, "q", "Gilardi and Sharf 2002 (linear contact spring)"
     law = r"-k \max(q - q_s, 0) \text{ if } q_s \geq 0,\ -k \min(q - q_s, 0) \text{ if } q_s < 0"
     params = (
-        Param("position", "rad", "q_s", 1.0, -100.0, 100.0, null=None),
-        Param("stiffness", "N m/rad", "k", 100.0, 0.0, 1e9),
+        Parameter("position", "rad", "q_s", value=1.0, low=-100.0, high=100.0, null=None),
+        Parameter("stiffness", "N m/rad", "k", value=100.0, low=0.0, high=1e9),
     )
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class FrictionDrift(Effect):
@@ -16,8 +17,8 @@ class FrictionDrift(Effect):
     site, against, reference = Site.MOTOR, "t", "Bittencourt and Gunnarsson 2012 (friction over temperature)"
     law = r"\tau_d\, e^{-t/T} \operatorname{sgn}\dot\theta"
     params = (
-        Param("level", "N m", r"\tau_d", 0.2, 0.0, 1e4),
-        Param("time_constant", "s", "T", 60.0, 1.0, 1e5, null=None),
+        Parameter("level", "N m", r"\tau_d", value=0.2, low=0.0, high=1e4),
+        Parameter("time_constant", "s", "T", value=60.0, low=1.0, high=1e5, null=None),
     )
     contains = ("motor_coulomb_friction",)
 

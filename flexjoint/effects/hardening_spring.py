@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class HardeningSpring(Effect):
@@ -11,7 +12,7 @@ class HardeningSpring(Effect):
 
     site, against, reference = Site.SPRING, "phi", "Tuttle and Seering 1996 (cubic stiffness)"
     law = r"+\,k_3 \phi^3"
-    params = (Param("cubic", "N m/rad^3", "k_3", 1e4, 0.0, 1e13),)
+    params = (Parameter("cubic", "N m/rad^3", "k_3", value=1e4, low=0.0, high=1e13),)
     needs_spring = True
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:

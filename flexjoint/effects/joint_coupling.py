@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Param, Signals, Site, Word
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site, Word
 
 
 class JointCoupling(Effect):
@@ -19,7 +20,7 @@ class JointCoupling(Effect):
         "Siciliano et al. 2009, section 5.1 (transmissions)",
     )
     law = r"\tau = \tau_m + c\,\tau_{m,\,\mathrm{neighbour}}"
-    params = (Param("share", "1", "c", 0.05, -20.0, 20.0),)
+    params = (Parameter("share", "1", "c", value=0.05, low=-20.0, high=20.0),)
     words = (Word("side", ("before", "after"), "before"),)
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:

@@ -2,16 +2,18 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class LinkCoulombFriction(Effect):
     """Dry friction at the link, beyond the spring: bearing or seal; it sticks."""
 
     site, against, reference = Site.LINK, "dq", "Armstrong-Helouvry et al. 1994"
+    on_rigid = "motor_coulomb_friction"
     law = r"\tau_l \operatorname{sgn}\dot q"
-    params = (Param("level", "N m", r"\tau_l", 0.1, 0.0, 1e4),)
+    params = (Parameter("level", "N m", r"\tau_l", value=0.1, low=0.0, high=1e4),)
 
     def level(self, s: Signals, p: Any, z: Value) -> Value:
         return p.level

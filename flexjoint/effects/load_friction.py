@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class LoadFriction(Effect):
@@ -12,7 +13,7 @@ class LoadFriction(Effect):
 
     site, against, reference = Site.MOTOR, "tau_t", "Hamon, Gautier and Garrec 2010"
     law = r"\mu\,|\tau_t| \operatorname{sgn}\dot\theta"
-    params = (Param("coefficient", "1", r"\mu", 0.1, 0.0, 20.0),)
+    params = (Parameter("coefficient", "1", r"\mu", value=0.1, low=0.0, high=20.0),)
 
     def level(self, s: Signals, p: Any, z: Value) -> Value:
         return p.coefficient * ops.absolute(s.tau_t)

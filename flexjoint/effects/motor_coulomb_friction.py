@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class MotorCoulombFriction(Effect):
@@ -11,7 +12,7 @@ class MotorCoulombFriction(Effect):
 
     site, against, reference = Site.MOTOR, "dtheta", "Armstrong-Helouvry et al. 1994"
     law = r"\tau_c \operatorname{sgn}\dot\theta"
-    params = (Param("level", "N m", r"\tau_c", 0.2, 0.0, 1e4),)
+    params = (Parameter("level", "N m", r"\tau_c", value=0.2, low=0.0, high=1e4),)
 
     def level(self, s: Signals, p: Any, z: Value) -> Value:
         return p.level

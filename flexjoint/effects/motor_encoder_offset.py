@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Kind, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Signals, Site
 
 
 class MotorEncoderOffset(Effect):
@@ -11,7 +12,7 @@ class MotorEncoderOffset(Effect):
 
     site, kind, against, reference = Site.SENSOR, Kind.SENSOR, "t", "formats: measured = true + offset"
     law = r"y = \theta + b"
-    params = (Param("offset", "rad", "b", 1e-3, -7.0, 7.0),)
+    params = (Parameter("offset", "rad", "b", value=1e-3, low=-7.0, high=7.0),)
 
     def channels(self, p: Any) -> tuple[str, ...]:
         return ("theta",)

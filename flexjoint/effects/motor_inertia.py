@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from flexjoint.effect import Drive, Effect, Kind, Param, Site
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Drive, Effect, Kind, Site
 
 
 class MotorInertia(Effect):
@@ -10,7 +11,7 @@ class MotorInertia(Effect):
 
     site, kind, against, reference = Site.MOTOR, Kind.PARAMETER, "tau_m", "Spong 1987 (motor equation)"
     law = r"(1 + e)\,B"
-    params = (Param("scale", "1", "e", 0.1, -0.99, 1e5),)
+    params = (Parameter("scale", "1", "e", value=0.1, low=-0.99, high=1e5),)
 
     def edit_drive(self, drive: Drive, p: Any) -> Drive:
         return drive.scaled(B=1.0 + p.scale)

@@ -3,7 +3,8 @@
 from dataclasses import replace
 from typing import Any
 
-from flexjoint.effect import Drive, Effect, Kind, Param, Site
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Drive, Effect, Kind, Site
 
 
 class MotorViscousFriction(Effect):
@@ -11,7 +12,7 @@ class MotorViscousFriction(Effect):
 
     site, kind, against, reference = Site.MOTOR, Kind.MECHANICAL, "dtheta", "Armstrong-Helouvry et al. 1994"
     law = r"d \, \dot\theta"
-    params = (Param("coefficient", "N m s/rad", "d", 1.0, -1e4, 1e5),)
+    params = (Parameter("coefficient", "N m s/rad", "d", value=1.0, low=-1e4, high=1e5),)
 
     def edit_drive(self, drive: Drive, p: Any) -> Drive:
         return replace(drive, D_m=drive.D_m + p.coefficient)

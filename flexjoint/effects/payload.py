@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Param, Site
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Site
 
 
 class Payload(Effect):
@@ -11,8 +12,8 @@ class Payload(Effect):
     site, against, reference = Site.BODY, "q", "Khalil and Dombre 2002, section 9.2 (inertial parameters)"
     law = r"\Delta\pi = m\,(1, r, -[r]_\times^2)"
     params = (
-        Param("mass", "kg", "m", 0.1, -1e3, 1e4),
-        Param("position", "m", "r", 0.0, -20.0, 20.0, null=None, size=3),
+        Parameter("mass", "kg", "m", value=0.1, low=-1e3, high=1e4),
+        Parameter("position", "m", "r", value=0.0, low=-20.0, high=20.0, null=None, size=3),
     )
 
     def edit_inertial(self, inertial: Any, p: Any) -> Any:

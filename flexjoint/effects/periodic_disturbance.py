@@ -3,10 +3,11 @@
 from math import pi
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import PHASES, grid, rhythms
-from flexjoint.ops import Value
 
 
 class PeriodicDisturbance(Effect):
@@ -16,9 +17,9 @@ class PeriodicDisturbance(Effect):
     site, against, reference = Site.LINK, "t", "Francis and Wonham 1976 (disturbances of known rhythm)"
     law = r"+\,a \sin(2 \pi f t + \psi)"
     params = (
-        Param("amplitude", "N m", "a", 0.2, 0.0, 1e4),
-        Param("frequency", "Hz", "f", 5.0, 0.05, 1e3, null=None, step=1e-3),
-        Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
+        Parameter("amplitude", "N m", "a", value=0.2, low=0.0, high=1e4),
+        Parameter("frequency", "Hz", "f", value=5.0, low=0.05, high=1e3, null=None, step=1e-3),
+        Parameter("phase", "rad", r"\psi", value=0.0, low=-7.0, high=7.0, null=None, wraps=True),
     )
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:

@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class QuadraticDrag(Effect):
@@ -12,7 +13,7 @@ class QuadraticDrag(Effect):
 
     site, against, reference = Site.LINK, "dq", "Fossen 2011, section 6.4 (quadratic drag)"
     law = r"-c\,|\dot q|\,\dot q"
-    params = (Param("coefficient", "N m s^2/rad^2", "c", 0.1, 0.0, 1e5),)
+    params = (Parameter("coefficient", "N m s^2/rad^2", "c", value=0.1, low=0.0, high=1e5),)
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:
         return -p.coefficient * ops.absolute(s.dq) * s.dq

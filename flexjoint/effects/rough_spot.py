@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class RoughSpot(Effect):
@@ -16,9 +17,9 @@ class RoughSpot(Effect):
     site, against, reference = Site.MOTOR, "theta", "Armstrong-Helouvry 1991 (position-dependent friction)"
     law = r"l\, e^{-((\theta - \theta_0)/w)^2} \operatorname{sgn}\dot\theta"
     params = (
-        Param("level", "N m", "l", 0.5, 0.0, 1e4),
-        Param("position", "rad", r"\theta_0", 0.0, -100.0, 100.0, null=None),
-        Param("width", "rad", "w", 0.05, 1e-4, 100.0, null=None),
+        Parameter("level", "N m", "l", value=0.5, low=0.0, high=1e4),
+        Parameter("position", "rad", r"\theta_0", value=0.0, low=-100.0, high=100.0, null=None),
+        Parameter("width", "rad", "w", value=0.05, low=1e-4, high=100.0, null=None),
     )
     contains = ("motor_coulomb_friction",)
 

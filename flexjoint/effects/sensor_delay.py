@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from flexjoint.effect import SENSOR_CHANNELS, Effect, Kind, Param, Signals, Site, Word
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import SENSOR_CHANNELS, Effect, Kind, Signals, Site, Word
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class SensorDelay(Effect):
@@ -12,7 +13,7 @@ class SensorDelay(Effect):
 
     site, kind, against, reference = Site.SENSOR, Kind.TIMING, "t", "Franklin, Powell and Workman 1998"
     law = r"y(t) = x(t - T)"
-    params = (Param("delay", "s", "T", 2e-3, 0.0, 0.05),)
+    params = (Parameter("delay", "s", "T", value=2e-3, low=0.0, high=0.05),)
     words = (Word("channel", (None, "q", "theta", "tau_t"), None),)
     max_delay = 0.05
 

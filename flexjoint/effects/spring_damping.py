@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from flexjoint.effect import Drive, Effect, Kind, Param, Site
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Drive, Effect, Kind, Site
 
 
 class SpringDamping(Effect):
@@ -10,7 +11,7 @@ class SpringDamping(Effect):
 
     site, kind, against, reference = Site.SPRING, Kind.PARAMETER, "dphi", "De Luca and Book 2016"
     law = r"(1 + e)\,D"
-    params = (Param("scale", "1", "e", 0.2, -1.0, 1e5),)
+    params = (Parameter("scale", "1", "e", value=0.2, low=-1.0, high=1e5),)
     needs_spring = True
 
     def edit_drive(self, drive: Drive, p: Any) -> Drive:

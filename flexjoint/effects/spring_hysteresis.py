@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class SpringHysteresis(Effect):
@@ -16,8 +17,8 @@ class SpringHysteresis(Effect):
     site, against, reference = Site.SPRING, "phi", "Dahl 1976"
     law = r"z,\ \dot z = \dot\phi\,\frac{l}{s}\left(1 - \frac{z}{l}\operatorname{sgn}\dot\phi\right)"
     params = (
-        Param("level", "N m", "l", 0.5, 0.0, 1e5),
-        Param("scale", "rad", "s", 3e-3, 1e-7, 1.0, null=None),
+        Parameter("level", "N m", "l", value=0.5, low=0.0, high=1e5),
+        Parameter("scale", "rad", "s", value=3e-3, low=1e-7, high=1.0, null=None),
     )
     states = (0.0,)
     needs_spring = True

@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class SpringPreload(Effect):
@@ -11,7 +12,7 @@ class SpringPreload(Effect):
 
     site, against, reference = Site.SPRING, "t", "formats: tau_t + torque"
     law = r"\tau_t + \tau_0"
-    params = (Param("torque", "N m", r"\tau_0", 0.5, -1e5, 1e5),)
+    params = (Parameter("torque", "N m", r"\tau_0", value=0.5, low=-1e5, high=1e5),)
     needs_spring = True
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:

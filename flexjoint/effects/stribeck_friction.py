@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class StribeckFriction(Effect):
@@ -16,9 +17,9 @@ class StribeckFriction(Effect):
     site, against, reference = Site.MOTOR, "dtheta", "Bo and Pavelescu 1982; Armstrong-Helouvry et al. 1994"
     law = r"\left(\tau_c + \tau_s e^{-(\dot\theta / v_s)^2}\right) \operatorname{sgn}\dot\theta"
     params = (
-        Param("level", "N m", r"\tau_c", 0.2, 0.0, 1e4),
-        Param("static_extra", "N m", r"\tau_s", 0.1, 0.0, 1e4),
-        Param("velocity", "rad/s", "v_s", 0.05, 1e-5, 10.0, null=None),
+        Parameter("level", "N m", r"\tau_c", value=0.2, low=0.0, high=1e4),
+        Parameter("static_extra", "N m", r"\tau_s", value=0.1, low=0.0, high=1e4),
+        Parameter("velocity", "rad/s", "v_s", value=0.05, low=1e-5, high=10.0, null=None),
     )
     contains = ("motor_coulomb_friction",)
 

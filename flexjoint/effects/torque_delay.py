@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Kind, Param, Signals, Site
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class TorqueDelay(Effect):
@@ -12,7 +13,7 @@ class TorqueDelay(Effect):
 
     site, kind, against, reference = Site.COMMAND, Kind.TIMING, "t", "Franklin, Powell and Workman 1998"
     law = r"\tau(t) = \tau_m(t - T)"
-    params = (Param("delay", "s", "T", 2e-3, 0.0, 0.05),)
+    params = (Parameter("delay", "s", "T", value=2e-3, low=0.0, high=0.05),)
     max_delay = 0.05
 
     def delay(self, p: Any) -> Value:

@@ -1,17 +1,18 @@
-"""The motor gives more or less torque than it was told."""
+"""The motor gives more or less torque than is commanded."""
 
 from typing import Any
 
-from flexjoint.effect import Effect, Kind, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Signals, Site
 
 
 class TorqueGain(Effect):
-    """The motor gives more or less torque than it was told: its torque constant or gear ratio is off."""
+    """The motor gives more or less torque than is commanded: its torque constant or gear ratio is off."""
 
     site, kind, against, reference = Site.COMMAND, Kind.PARAMETER, "tau_m", "Gautier and Briot 2014"
     law = r"\tau = (1 + e)\,\tau_m"
-    params = (Param("gain", "1", "e", 0.05, -3.0, 1e3),)
+    params = (Parameter("gain", "1", "e", value=0.05, low=-3.0, high=1e3),)
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
         return (1.0 + p.gain) * x

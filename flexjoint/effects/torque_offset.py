@@ -1,18 +1,19 @@
-"""The motor adds a constant torque to what it was told."""
+"""The motor adds a constant torque to the commanded one."""
 
 from typing import Any
 
-from flexjoint.effect import Effect, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class TorqueOffset(Effect):
-    """The motor adds a constant torque to what it was told: the zero of its current amplifier is off."""
+    """The motor adds a constant torque to the commanded one: the zero of its current amplifier is off."""
 
     site, against = Site.COMMAND, "t"
     reference = "Khalil and Dombre 2002, chapter 12 (current offset)"
     law = r"\tau = \tau_m + b"
-    params = (Param("offset", "N m", "b", 0.5, -1e5, 1e5),)
+    params = (Parameter("offset", "N m", "b", value=0.5, low=-1e5, high=1e5),)
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
         return x + p.offset

@@ -1,21 +1,22 @@
-"""The motor cannot give all the torque it was told."""
+"""The motor cannot give all the torque that is commanded."""
 
 from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 
 class TorqueSaturation(Effect):
-    """The motor cannot give all the torque it was told; absent at a limit that no command reaches."""
+    """The motor cannot give all the torque that is commanded; absent at a limit that no command reaches."""
 
     site, against, reference = Site.COMMAND, "tau_m", "Khalil 2002, section 1.2.7 (saturation)"
     law = r"\tau = \operatorname{clip}(\tau_m, \pm L)"
-    params = (Param("limit", "N m", "L", 20.0, 0.0, 1e6, null=1e6),)
+    params = (Parameter("limit", "N m", "L", value=20.0, low=0.0, high=1e6, null=1e6),)
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
         return ops.clip(x, -p.limit, p.limit)

@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Kind, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Signals, Site
 
 
 class TorqueSensorGain(Effect):
@@ -11,7 +12,7 @@ class TorqueSensorGain(Effect):
 
     site, kind, against, reference = Site.SENSOR, Kind.SENSOR, "tau_t", "formats: (1 + gain) tau_t + offset"
     law = r"y = (1 + e)\,\tau_t"
-    params = (Param("gain", "1", "e", 0.05, -3.0, 1e3),)
+    params = (Parameter("gain", "1", "e", value=0.05, low=-3.0, high=1e3),)
 
     def channels(self, p: Any) -> tuple[str, ...]:
         return ("tau_t",)

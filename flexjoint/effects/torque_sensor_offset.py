@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from flexjoint.effect import Effect, Kind, Param, Signals, Site
-from flexjoint.ops import Value
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Kind, Signals, Site
 
 
 class TorqueSensorOffset(Effect):
@@ -11,7 +12,7 @@ class TorqueSensorOffset(Effect):
 
     site, kind, against, reference = Site.SENSOR, Kind.SENSOR, "t", "formats: (1 + gain) tau_t + offset"
     law = r"y = \tau_t + b"
-    params = (Param("offset", "N m", "b", 0.1, -1e5, 1e5),)
+    params = (Parameter("offset", "N m", "b", value=0.1, low=-1e5, high=1e5),)
 
     def channels(self, p: Any) -> tuple[str, ...]:
         return ("tau_t",)

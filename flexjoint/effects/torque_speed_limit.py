@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import grid
-from flexjoint.ops import Value
 
 LIMITED = np.array((0.65, 0.85, 0.97))  # of the largest torque that a line meets
 
@@ -18,8 +19,8 @@ class TorqueSpeedLimit(Effect):
     site, against, reference = Site.COMMAND, "dtheta", "Hughes and Drury 2013, chapter 3 (torque-speed line)"
     law = r"\tau = \operatorname{clip}(\tau_m, -L - c\,\dot\theta, L - c\,\dot\theta)"
     params = (
-        Param("stall", "N m", "L", 50.0, 0.0, 1e6, null=1e6),
-        Param("drop", "N m s/rad", "c", 5.0, 0.0, 1e5),
+        Parameter("stall", "N m", "L", value=50.0, low=0.0, high=1e6, null=1e6),
+        Parameter("drop", "N m s/rad", "c", value=5.0, low=0.0, high=1e5),
     )
     contains = ("torque_saturation",)
 

@@ -2,10 +2,11 @@
 
 from typing import Any
 
-from flexjoint import ops
-from flexjoint.effect import Effect, Param, Signals, Site
+from flexjoint.core import ops
+from flexjoint.core.ops import Value
+from flexjoint.core.parameter import Parameter
+from flexjoint.effects._base import Effect, Signals, Site
 from flexjoint.effects._starts import PHASES, grid, ripple_cycles, whole_cycles
-from flexjoint.ops import Value
 
 
 class TransmissionError(Effect):
@@ -17,9 +18,9 @@ class TransmissionError(Effect):
     site, against, reference = Site.DEFLECTION, "theta", "Ghorbel, Gandhi and Alpeter 2001"
     law = r"\phi + a \sin(n \theta + \psi)"
     params = (
-        Param("amplitude", "rad", "a", 5e-4, 0.0, 0.5),
-        Param("cycles", "1", "n", 2.0, 0.5, 5e3, null=None, step=0.01),
-        Param("phase", "rad", r"\psi", 0.0, -7.0, 7.0, null=None, wraps=True),
+        Parameter("amplitude", "rad", "a", value=5e-4, low=0.0, high=0.5),
+        Parameter("cycles", "1", "n", value=2.0, low=0.5, high=5e3, null=None, step=0.01),
+        Parameter("phase", "rad", r"\psi", value=0.0, low=-7.0, high=7.0, null=None, wraps=True),
     )
     needs_spring = True
 

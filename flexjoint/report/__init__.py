@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from flexjoint.diagnosis import Diagnosis
-from flexjoint.files import write_text
-from flexjoint.recording import Recording
+from flexjoint.core.files import write_text
+from flexjoint.diagnosis.result import Diagnosis
+from flexjoint.recording.table import Recording
 from flexjoint.report.material import Comparison, Material, require
-from flexjoint.robot import Robot
+from flexjoint.robot.robot import Robot
 
 __all__ = ["Comparison", "render", "write"]
 

@@ -10,10 +10,11 @@ from typing import Protocol
 
 import numpy as np
 
-from flexjoint.diagnosis import Diagnosis, Gain
-from flexjoint.errors import MissingExtraError
-from flexjoint.recording import Recording
-from flexjoint.robot import Robot
+from flexjoint.core.errors import MissingExtraError
+from flexjoint.diagnosis.result import Diagnosis, Gain
+from flexjoint.diagnosis.result.wording import Joints
+from flexjoint.recording.table import Recording
+from flexjoint.robot.robot import Robot
 
 
 class Comparison(Protocol):
@@ -51,6 +52,10 @@ class Material:
     recording: Recording
     before: Comparison | None = None
     after: Comparison | None = None
+
+    @cached_property
+    def joints(self) -> Joints:
+        return Joints.of(self.robot)
 
     @cached_property
     def gain(self) -> Gain | None:

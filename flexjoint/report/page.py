@@ -5,7 +5,17 @@ from __future__ import annotations
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from flexjoint.report.material import Material
-from flexjoint.report.sections import causes, compared, footer, limits, ranking, residuals, verdict
+from flexjoint.report.sections import (
+    causes,
+    compared,
+    footer,
+    limits,
+    ranking,
+    residuals,
+    torques,
+    trace,
+    verdict,
+)
 
 
 def html(material: Material) -> str:
@@ -20,9 +30,11 @@ def html(material: Material) -> str:
     return environment.get_template("page.html").render(
         verdict=verdict.build(material),
         causes=causes.build(material),
+        torques=torques.build(material),
         compared=compared.build(material),
         residuals=residuals.build(material),
         ranking=ranking.build(material),
         limits=limits.build(material),
+        trace=trace.build(material),
         footer=footer.build(material),
     )

@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexjoint.diagnosis.result.wording import unit_of
 from flexjoint.report import series
-from flexjoint.report.wording import signal_name, unit_of
 
 # Blue and orange stay apart for every common colour vision; dashes tell them apart in grey print.
 INK, RULE = "#1f2933", "#cbd2d9"
@@ -71,12 +71,13 @@ def traces(
     before: np.ndarray,
     after: np.ndarray | None,
     channel: str,
+    name: str,
     prismatic: bool,
     alt: str,
 ) -> Image:
     """A measured signal with the simulations on it, each (N,) at `time` [s]."""
     with _styled():
-        figure, axes = _axes("time [s]", _label(channel, prismatic))
+        figure, axes = _axes("time [s]", _label(channel, name, prismatic))
         axes.plot(*series.thinned(time, measured, BUCKETS), color=MEASURED, linewidth=2.8)
         axes.plot(*series.thinned(time, before, BUCKETS), color=BEFORE, dashes=DASHES)
         if after is not None:
@@ -115,13 +116,14 @@ def dependence(
     before: np.ndarray,
     after: np.ndarray | None,
     signal: str,
+    name: str,
     noise: float,
     prismatic: bool,
     alt: str,
 ) -> Image:
     """A balance's residual over a signal, each (N,): samples, binned median, middle half."""
     with _styled():
-        figure, axes = _axes(_label(signal, prismatic), f"residual [{unit_of('tau_t', prismatic)}]")
+        figure, axes = _axes(_label(signal, name, prismatic), f"residual [{unit_of('tau_t', prismatic)}]")
         axes.axhline(0.0, color=RULE, linewidth=0.8)
         for level in (-2 * noise, 2 * noise):
             axes.axhline(level, color="#52606d", linewidth=0.7, linestyle=(0, (1, 3)))
@@ -158,9 +160,10 @@ def formula(latex: str) -> Image | None:
             return None
 
 
-def _label(signal: str, prismatic: bool) -> str:
+def _label(signal: str, name: str, prismatic: bool) -> str:
+    """A signal's name in words with its unit."""
     unit = unit_of(signal, prismatic)
-    return signal_name(signal) + (f" [{unit}]" if unit else "")
+    return name + (f" [{unit}]" if unit else "")
 
 
 def _axes(xlabel: str, ylabel: str) -> tuple[Figure, Axes]:

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from flexjoint.recording import Recording
+from flexjoint.recording.table import Recording
 
 
 @dataclass(frozen=True)

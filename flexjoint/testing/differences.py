@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flexjoint.errors import FlexJointError, unknown
+from flexjoint.core.errors import FlexJointError, unknown
 from flexjoint.testing.golden import UNITS, About, GoldenRun, read_golden, record_golden
 
 RECORD = "FLEXJOINT_GOLDEN"  # environment variable; "record" writes golden files anew
@@ -26,7 +26,7 @@ class Tolerance:
     why: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Difference:
     """Of one signal: the largest difference, when [s], both values there; when it first exceeds the
     tolerance [s], None where it never does; root of the mean square."""
@@ -70,9 +70,18 @@ def differences(
         k = int(np.argmax(gap))
         beyond = np.flatnonzero(gap > limit.absolute)
         first = float(golden.time[beyond[0]]) if beyond.size else None
-        here = float(golden.time[k]), float(expected[k]), float(values[k])
-        rms = float(np.sqrt(np.mean(gap**2)))
-        found.append(Difference(name, float(gap[k]), *here, first, rms, limit))
+        found.append(
+            Difference(
+                signal=name,
+                largest=float(gap[k]),
+                at=float(golden.time[k]),
+                golden=float(expected[k]),
+                run=float(values[k]),
+                first=first,
+                rms=float(np.sqrt(np.mean(gap**2))),
+                tolerance=limit,
+            )
+        )
     return tuple(sorted(found, key=lambda item: (-item.times, item.signal)))
 
 

@@ -14,16 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexjoint.effect import Signals, Site
-from flexjoint.errors import FlexJointError
-from flexjoint.model import FlexibleJointModel
-from flexjoint.sensing import true_signals
-from flexjoint.trajectory import Trajectory
+from flexjoint.core.errors import FlexJointError
+from flexjoint.effects import Signals, Site
+from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.simulation.sensors import true_signals
+from flexjoint.simulation.trajectory import Trajectory
 
 SAMPLES = 2000  # of a motion at which the stored energy is computed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EnergyBalance:
     """At times (N,) [s], (N,) each [J]: stored in bodies, motors, springs and the ground; since the start:
     work of the motors' torque, of effects, lost in motor and spring damping; `missing`, what these leave of
@@ -90,7 +90,16 @@ def energy_balance(model: FlexibleJointModel, trajectory: Trajectory) -> EnergyB
     bodies = np.array([model.body.energy(trajectory.q[k], trajectory.v[k]) for k in rows])
     ground = np.array([_ground(model, trajectory, k) for k in rows])
     sums = [np.cumsum(part)[at] for part in (work, effects, lost)]
-    return EnergyBalance(trajectory.time[rows], bodies, motors, springs, ground, *sums)
+    return EnergyBalance(
+        time=trajectory.time[rows],
+        bodies=bodies,
+        motors=motors,
+        springs=springs,
+        ground=ground,
+        work=sums[0],
+        effects=sums[1],
+        lost=sums[2],
+    )
 
 
 def assert_energy_balance(
@@ -147,7 +156,7 @@ def _ground(model: FlexibleJointModel, trajectory: Trajectory, row: int) -> floa
     if model.ground is None:
         return 0.0
     z = trajectory.z[row]
-    touch = model.ground.touch(model, trajectory.q[row], trajectory.v[row], z)
+    touch = model.ground.touch(model.body, trajectory.q[row], trajectory.v[row], z)
     anchors = np.reshape(z[model.ground.slots], (-1, 2))
     total = 0.0
     for item, point, anchor in zip(model.ground.contacts, touch.points, anchors, strict=True):

@@ -17,13 +17,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
-from flexjoint import recording
-from flexjoint.errors import FlexJointError, unknown
-from flexjoint.files import write_bytes
-from flexjoint.model import FlexibleJointModel
-from flexjoint.parameters import FREE, parameter_table
-from flexjoint.sensing import true_signals
-from flexjoint.trajectory import Trajectory
+from flexjoint.core.errors import FlexJointError, unknown
+from flexjoint.core.files import write_bytes
+from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.model.parameters import FREE, model_parameters
+from flexjoint.recording import table as recording
+from flexjoint.simulation.sensors import true_signals
+from flexjoint.simulation.trajectory import Trajectory
 
 SCHEMA = 1
 KEY = b"flexjoint.golden"  # of the Parquet file's metadata
@@ -40,7 +40,7 @@ Setting = str | float | int | bool
 @dataclass(frozen=True)
 class About:
     """Of which run: the robot's name, physics rate [Hz], what the caller said of it, versions of the
-    packages behind it, and the model's numbers by name (`flexjoint.parameters`, gains, limits, contacts)."""
+    packages behind it, and the model's numbers by name (`model.parameters`, gains, limits, contacts)."""
 
     robot: str
     physics: float
@@ -82,7 +82,7 @@ def golden_run(
     joints: Sequence[str] | None = None,
     settings: Mapping[str, Setting] | None = None,
 ) -> GoldenRun:
-    """What of a simulated motion is worth keeping.
+    """The part of a simulated motion that a golden file keeps.
 
     Args:
         rate: rows per second, a divisor of the physics rate. A difference that lasts shows at 10 or 20.
@@ -137,7 +137,7 @@ def _versions() -> dict[str, str]:
 def _numbers(model: FlexibleJointModel) -> dict[str, float]:
     """The model's numbers by name."""
     robot = model.robot
-    table = parameter_table(model.joints, model.effects, robot.model, FREE)
+    table = {name: item.value for name, item in model_parameters(robot, model.effects, FREE).items()}
     for joint in model.joints:
         table.update({f"{key}.{joint.name}": getattr(joint, key) for key in ("kp", "kd", "torque_limit")})
     for contact in robot.contacts:
@@ -157,8 +157,8 @@ def record_golden(run: GoldenRun, path: str | os.PathLike[str]) -> None:
     for name, values in run.signals.items():
         if not np.all(np.isfinite(values)):
             raise FlexJointError(f"{out}: signal {name} is not finite everywhere; such a run is no standard")
-    told = json.dumps({"schema": SCHEMA, **_plain(run.about)}, sort_keys=True)
-    table = pa.table({"time": run.time, **run.signals}).replace_schema_metadata({KEY: told.encode()})
+    about = json.dumps({"schema": SCHEMA, **_plain(run.about)}, sort_keys=True)
+    table = pa.table({"time": run.time, **run.signals}).replace_schema_metadata({KEY: about.encode()})
     sink = io.BytesIO()
     # doubles whose bytes stand together by place pack to half of what they do otherwise
     pa.parquet.write_table(

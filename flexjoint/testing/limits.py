@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from flexjoint.errors import unknown
-from flexjoint.model import FlexibleJointModel
-from flexjoint.sensing import true_signals
+from flexjoint.core.errors import unknown
+from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.simulation.sensors import true_signals
+from flexjoint.simulation.trajectory import Trajectory
 from flexjoint.testing.golden import UNITS
-from flexjoint.trajectory import Trajectory
 
 KINDS: Mapping[str, str] = {"position": "q", "speed": "dq", "torque": "tau_m", "spring torque": "tau_t"}
 

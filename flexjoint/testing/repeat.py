@@ -11,9 +11,9 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from flexjoint.errors import FlexJointError
+from flexjoint.core.errors import FlexJointError
+from flexjoint.simulation.trajectory import Trajectory
 from flexjoint.testing.golden import GoldenRun
-from flexjoint.trajectory import Trajectory
 
 Result = Trajectory | GoldenRun | Mapping[str, np.ndarray]
 

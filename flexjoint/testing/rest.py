@@ -1,4 +1,4 @@
-"""A robot that holds still against what the static law says of it."""
+"""A robot at rest, compared with its static law."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.equilibrium import deflection, holding_torque
-from flexjoint.errors import FlexJointError
-from flexjoint.model import FlexibleJointModel
-from flexjoint.trajectory import Trajectory
+from flexjoint.core.errors import FlexJointError
+from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.model.statics.equilibrium import deflection, holding_torque
+from flexjoint.simulation.trajectory import Trajectory
 
 
 def assert_static_law(
@@ -91,6 +91,6 @@ def _load(model: FlexibleJointModel, trajectory: Trajectory) -> np.ndarray:
     q, v = trajectory.q[-1], trajectory.v[-1]
     load = np.array(holding_torque(model, q)[0])
     if model.ground is not None:
-        touch = model.ground.touch(model, q, v, trajectory.z[-1])
+        touch = model.ground.touch(model.body, q, v, trajectory.z[-1])
         load -= np.asarray(touch.tau)[[joint.idx_v for joint in model.joints]]
     return load

@@ -50,7 +50,7 @@ class Case:
         return {
             "robot": self.robot,
             "excitation": self.excitation,
-            "truth": [_truth(p) for p in self.effects],
+            "truth": [truth_of(p) for p in self.effects],
         }
 
     def train(self) -> Recorded:
@@ -77,7 +77,7 @@ class Case:
         )
 
 
-def _truth(planted: Planted) -> dict[str, object]:
+def truth_of(planted: Planted) -> dict[str, object]:
     words = {k: v for k, v in planted.parameters.items() if isinstance(v, str)}
     numbers = {k: v for k, v in planted.parameters.items() if v is not None and k not in words}
     entry = {"effect": planted.effect, "joint": planted.joint, "parameters": numbers, "since": planted.since}

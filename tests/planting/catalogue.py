@@ -1,6 +1,7 @@
 """The catalogue of effects, and what is planted of them.
 
 CATALOGUE and BEYOND give an effect's site, its parameters and their defaults; laws.py says what it does.
+OUTSIDE does so for laws that the catalogue of the product does not have; outside.py says what they do.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ class Law:
     defaults: dict[str, float | str | None] = field(default_factory=dict)
     common: bool = False  # may have joint None: all joints, or the robot as a whole
     words: dict[str, tuple[str, ...]] = field(default_factory=dict)  # what a parameter that is a word may be
+    family: str = ""  # of OUTSIDE: laws of one origin, which are held out together
 
 
 CATALOGUE: dict[str, Law] = {
@@ -75,6 +77,47 @@ BEYOND: dict[str, Law] = {
 }
 """Effects that came later: apart, since the numbers of the study's cases follow the order of CATALOGUE."""
 
+_SIDE = {"side": ("before", "after")}
+_POSITION = {"channel": ("q", "theta")}
+_TORQUE = {"channel": ("tau_t", "tau_motor")}
+
+OUTSIDE: dict[str, Law] = {
+    "torque_droop": Law("motor", ("loss", "reference"), family="drive"),
+    "load_cogging": Law("motor", ("share", "cycles"), {"phase": 0.0}, family="drive"),
+    "cogging_series": Law("motor", ("amplitude", "cycles"), {"phase": 0.0}, family="drive"),
+    "heated_drive": Law("motor", ("loss", "time_constant"), family="drive"),
+    "dead_command": Law("motor", ("width",), family="drive"),
+    "drive_resonance": Law("command", ("period", "damping"), family="drive"),
+    "path_friction": Law("motor", ("level", "cycles"), {"phase": 0.0}, family="friction"),
+    "wandering_friction": Law("motor", ("level", "period"), {"phase": 0.0}, family="friction"),
+    "thinning_drag": Law("motor", ("torque", "velocity"), family="friction"),
+    "one_way_drag": Law("motor", ("coefficient",), family="friction"),
+    "root_drag": Law("motor", ("coefficient", "velocity"), family="friction"),
+    "gear_ripple": Law("motor", ("share", "cycles"), {"phase": 0.0}, family="gear"),
+    "loaded_drag": Law("motor", ("coefficient",), family="gear"),
+    "mesh_error": Law("transmission", ("amplitude", "cycles"), {"phase": 0.0}, family="gear"),
+    "one_sided_spring": Law("transmission", ("share",), family="gear"),
+    "soft_centre": Law("transmission", ("stiffness", "width"), family="gear"),
+    "wobbling_mass": Law("link", ("inertia", "frequency", "damping"), family="structure"),
+    "bent_hose": Law("link", ("stiffness", "rest"), family="structure"),
+    "kinked_hose": Law("link", ("torque", "angle", "width"), family="structure"),
+    "neighbour_pull": Law("link", ("torque", "angle", "side"), words=_SIDE, family="structure"),
+    "neighbour_drag": Law("link", ("coefficient", "side"), words=_SIDE, family="structure"),
+    "encoder_series": Law(
+        "sensor", ("amplitude", "channel"), {"phase": 0.0}, words=_POSITION, family="sensing"
+    ),
+    "position_filter": Law("sensor", ("time_constant", "channel"), words=_POSITION, family="sensing"),
+    "torque_wander": Law(
+        "sensor", ("amplitude", "period", "channel"), {"phase": 0.0}, words=_TORQUE, family="sensing"
+    ),
+    "torque_bow": Law("sensor", ("share", "reference", "channel"), words=_TORQUE, family="sensing"),
+    "torque_steps": Law("sensor", ("step", "channel"), words=_TORQUE, family="sensing"),
+    "drive_dropouts": Law("motor", ("share", "times", "length"), family="fault"),
+    "pushes": Law("link", ("torque", "times", "length"), family="fault"),
+    "drag_at_speed": Law("motor", ("torque", "velocity", "width"), family="fault"),
+}
+"""Laws that no effect of the product is, by where they come from; equations in outside.py."""
+
 DRY_MOTOR = (
     "motor_coulomb_friction",
     "asymmetric_friction",
@@ -87,15 +130,19 @@ DRY_MOTOR = (
 )
 """Effects that make a motor stick."""
 
+DRY_OUTSIDE = ("path_friction", "wandering_friction")
+"""Laws of OUTSIDE that do."""
+
 WITH_STATE = ("spring_hysteresis", "dahl_friction", "breakaway_friction", "spring_creep")
 """Effects with a state of their own; a joint has room for one."""
 
 
 def law(effect: str) -> Law:
     """The law of an effect; raises ValueError when there is none."""
-    found = CATALOGUE.get(effect) or BEYOND.get(effect)
+    found = CATALOGUE.get(effect) or BEYOND.get(effect) or OUTSIDE.get(effect)
     if found is None:
-        raise ValueError(f"unknown effect {effect!r}; there are {', '.join((*CATALOGUE, *BEYOND))}")
+        known = ", ".join((*CATALOGUE, *BEYOND, *OUTSIDE))
+        raise ValueError(f"unknown effect {effect!r}; there are {known}")
     return found
 
 
@@ -131,21 +178,27 @@ class Planted:
     def value(self, name: str) -> float:
         return float({**law(self.effect).defaults, **self.parameters}[name])  # type: ignore[arg-type]
 
+    def several(self, name: str) -> tuple[float, ...]:
+        """A parameter that is a list of numbers."""
+        return tuple(float(x) for x in self.parameters[name])  # type: ignore[attr-defined]
+
     def word(self, name: str) -> str | None:
         return {**law(self.effect).defaults, **self.parameters}[name]  # type: ignore[return-value]
 
 
 def check(robot: Robot, effects: list[Planted]) -> None:
     """Raises ValueError for a joint that the robot lacks, an effect planted twice on a joint, two of
-    WITH_STATE on one, or a coupling to a joint that is not there."""
+    WITH_STATE on one, a coupling to a joint that is not there, or a spring's effect on a rigid joint."""
     seen = set()
     for planted in effects:
         if planted.joint is not None:
-            robot.index(planted.joint)
+            rigid = np.isinf(robot.stiffness[robot.index(planted.joint)])
+            if rigid and law(planted.effect).site == "transmission":
+                raise ValueError(f"{planted.effect} needs a spring, and {planted.joint} is rigid")
         if (planted.effect, planted.joint) in seen:
             raise ValueError(f"{planted.effect} is planted twice on {planted.joint}")
         seen.add((planted.effect, planted.joint))
-        if planted.effect == "joint_coupling":
+        if "side" in law(planted.effect).words:
             neighbour(robot, planted)
     for joint in robot.joints:
         several = [p.effect for p in effects if p.effect in WITH_STATE and p.joint == joint]
@@ -154,9 +207,9 @@ def check(robot: Robot, effects: list[Planted]) -> None:
 
 
 def neighbour(robot: Robot, coupling: Planted) -> int:
-    """Index of the joint whose command a joint_coupling adds; raises ValueError where there is none."""
+    """Index of the joint on the `side` of an effect's own; raises ValueError where there is none."""
     side = coupling.word("side")
     index = robot.index(coupling.joint) + (-1 if side == "before" else 1)
     if not 0 <= index < len(robot.joints):
-        raise ValueError(f"joint_coupling: {robot.name} has no joint {side} {coupling.joint}")
+        raise ValueError(f"{coupling.effect}: {robot.name} has no joint {side} {coupling.joint}")
     return index

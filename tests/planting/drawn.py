@@ -1,7 +1,7 @@
 """Nominal robots drawn at random, a robot a number: what no list of robots thinks of.
 
-One to four joints, links of 8 cm to 1.5 m, springs that swing at 3 to 30 Hz, motors of a tenth to 2.5 times
-their load, controllers from lazy to stiff.
+One to four joints, or as many as the name says (drawn_12_of6 has six); links of 8 cm to 1.5 m, springs that
+swing at 3 to 30 Hz, motors of a tenth to 2.5 times their load, controllers from lazy to stiff.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TOLERANCES = {
     "_exact": "tolerance: {inertial: 0.001, stiffness: 0.001, damping: 0.002, torque: 0.001}\n",
     "_loose": "tolerance: {inertial: 0.05, stiffness: 0.05, damping: 0.15, torque: 0.01}\n",
 }
-NAME = re.compile(r"drawn_(\d+)(|_exact|_loose)")
+NAME = re.compile(r"drawn_(\d+)(?:_of([1-7]))?(|_exact|_loose)")
 
 GRAVITY = 9.81
 ACROSS, ALONG, UP = (0, 1, 0), (1, 0, 0), (0, 0, 1)  # axes; links lie along x
@@ -52,11 +52,11 @@ def drawn_robot(name: str) -> Path:
         raise ValueError(
             f"{name!r} is no robot that is drawn; such are drawn_12, drawn_12_exact, drawn_12_loose"
         )
-    number, tolerance = match.groups()
+    number, joints, tolerance = match.groups()
     path = _folder() / f"{name}.yaml"
     if not path.exists():
         rng = np.random.default_rng([2026, int(number)])
-        links = _links(rng)
+        links = _links(rng, None if joints is None else int(joints))
         path.with_suffix(".urdf").write_text(_urdf(name, links))
         path.write_text(
             f"name: {name}\nurdf: {name}.urdf\nbase: fixed\n{TOLERANCES[tolerance]}"
@@ -77,8 +77,9 @@ def in_logarithm(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _links(rng: np.random.Generator) -> list[Link]:
+def _links(rng: np.random.Generator, wanted: int | None) -> list[Link]:
     count = int(rng.integers(1, 5))
+    count = wanted or count
     length = in_logarithm(rng, 0.08, 1.5)
     mass = in_logarithm(rng, 0.1, 6.0) * (length / 0.4) ** 2.2
     links = []

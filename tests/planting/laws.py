@@ -17,6 +17,9 @@ phi = theta - q, w = dtheta. Everything acts in this order where several effects
   hysteresis as a state, or a creeping spring's stiffness z in its place.
 - link: payload joins the body's mass, tilt turns gravity, the others are torques on q.
 - sensor: sensing.py.
+
+A rigid joint (infinite stiffness) has theta = q: B joins the link's inertia, motor and link rub as one, and
+tau_t is what its link takes, which laws that depend on the load are given by repeated substitution.
 """
 
 from __future__ import annotations
@@ -26,7 +29,18 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from .catalogue import BEYOND, CATALOGUE, DRY_MOTOR, Law, Planted, check, law, neighbour
+from . import outside
+from .catalogue import (
+    BEYOND,
+    CATALOGUE,
+    DRY_MOTOR,
+    DRY_OUTSIDE,
+    Law,
+    Planted,
+    check,
+    law,
+    neighbour,
+)
 from .chain import Array, body_load, inverse_dynamics, mass_matrix, point_load
 from .robots import Robot
 
@@ -44,6 +58,10 @@ __all__ = [
 ]
 
 
+BY_LOAD = ("load_friction", "drive_efficiency", "gear_ripple", "loaded_drag")
+SUBSTITUTIONS = 4  # of a rigid joint's tau_t into BY_LOAD; each leaves some 10 % of the error before
+
+
 @dataclass(frozen=True)
 class Switch:
     """A place where the equations change: dry friction (mode -1, 0 stuck, 1) or a gap (-1, 0 inside, 1)."""
@@ -55,34 +73,65 @@ class Switch:
 class Equations:
     """The right-hand side, as symbols, for one real robot with its planted effects.
 
-    State x (5 n,): q, dq, theta, dtheta, z (of the one law of WITH_STATE on the joint). `modes` (number of
+    State x (5 n + m,): q, dq, theta, dtheta, z (of the one law of WITH_STATE on the joint), and angle and
+    speed of every wobbling mass. `modes` (number of
     switches,) and `gates` (number of effects, 1 when active) are constant over a step. Attributes after
     construction: `rate` x', `torque` tau_t (n,), `margin` (switches,) that is negative when a mode no longer
-    holds, `drive` (switches,) whose sign is the next mode, `z_start` (n,).
+    holds, `drive` (switches,) whose sign is the next mode, `start` (n + m,) of z and the masses, `rigid` (n,)
+    flags, and `balance` (2 n,) [N m], what motors and links lack for given `accelerations` (2 n,) of links
+    and motors; a rigid joint's is all in the motor's.
     """
 
     def __init__(self, robot: Robot, effects: list[Planted]) -> None:
         check(robot, effects)
         n = len(robot.joints)
         self.robot, self.effects = robot, effects
+        self.rigid = np.isinf(robot.stiffness)
         self.switches = tuple(
             Switch(kind, j)
             for j in range(n)
-            for kind, names in (
-                ("motor", DRY_MOTOR),
-                ("link", ("link_coulomb_friction",)),
-                ("gap", ("backlash",)),
-            )
+            for kind, names in self._rubbing(j)
             if any(p.effect in names and p.joint == robot.joints[j] for p in effects)
         )
-        self.x = ca.SX.sym("x", 5 * n)
+        self.masses = [k for k, p in enumerate(effects) if p.effect == outside.WOBBLING]
+        more = outside.WOBBLING_STATES * len(self.masses)
+        self.x = ca.SX.sym("x", 5 * n + more)
+        self.accelerations = ca.SX.sym("a", 2 * n)
         self.u, self.t = ca.SX.sym("u", n), ca.SX.sym("t")
         self.modes = ca.SX.sym("modes", len(self.switches))
         self.gates = ca.SX.sym("gates", len(effects))
-        self.q, self.dq, self.theta, self.dtheta, self.z = ca.vertsplit(self.x, n)
+        self.q, self.dq, self.theta, self.dtheta, self.z = ca.vertsplit(self.x[: 5 * n], n)
         fresh = {p.joint for p in effects if p.effect == "breakaway_friction"}
-        self.z_start = np.array([float(joint in fresh) for joint in robot.joints])
+        self.start = np.array([float(joint in fresh) for joint in robot.joints] + [0.0] * more)
         self._write()
+
+    def _rubbing(self, j: int) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """Kinds of switches of a joint and the effects that make them."""
+        motor, link = (*DRY_MOTOR, *DRY_OUTSIDE), ("link_coulomb_friction",)
+        if self.rigid[j]:
+            return (("motor", (*motor, *link)),)
+        return (("motor", motor), ("link", link), ("gap", ("backlash",)))
+
+    def _seen(self, j: int, tau_t: ca.SX, planted: Planted | None = None) -> outside.At:
+        """What a law outside the catalogue sees of joint j."""
+        own = (self.q[j], self.dq[j], self.theta[j], self.dtheta[j])
+        side: tuple[ca.SX, ...] = ()
+        if planted is not None and "side" in planted.parameters:
+            k = neighbour(self.robot, planted)
+            side = (self.q[k], self.dq[k])
+        return outside.At(*own, self.u[j], self.t, tau_t, float(self.robot.stiffness[j]), *side)
+
+    def _outside(self, laws: dict[str, outside.Torque], j: int, tau_t: ca.SX) -> ca.SX:
+        """The gated sum of some laws outside the catalogue at joint j."""
+        total, here = ca.SX(0), self.robot.joints[j]
+        for k, p in enumerate(self.effects):
+            if p.effect not in laws:
+                continue
+            on_side = p.effect in outside.ON_BOTH and neighbour(self.robot, p) == j
+            if p.joint == here or on_side:
+                seen = self._seen(self.robot.index(p.joint), tau_t, p)
+                total += self.gates[k] * laws[p.effect](p, seen)
+        return total
 
     def _on(self, effect: str, joint: int) -> tuple[Planted, ca.SX] | None:
         """The planted effect on a joint (by index) and its gate; None when it is absent."""
@@ -110,6 +159,7 @@ class Equations:
             deflection += (
                 gate * p.value("amplitude") * ca.sin(p.value("cycles") * self.theta[j] + p.value("phase"))
             )
+        deflection += self._outside(outside.DEFLECTION, j, ca.SX(0))
         side, engaged, half_gap = ca.SX(0), ca.SX(1), ca.SX(0)
         if (mode := self._mode("gap", j)) is not None:
             side, engaged, half_gap = mode, mode * mode, self._size("backlash", j, "gap") / 2
@@ -117,8 +167,9 @@ class Equations:
         stiffness = robot.stiffness[j] * (1 + self._size("spring_stiffness", j, "scale"))
         damping = robot.damping[j] * (1 + self._size("spring_damping", j, "scale"))
         torque = stiffness * e + self._size("hardening_spring", j, "cubic") * e**3 + engaged * damping * dphi
-        if self._on("spring_hysteresis", j):
-            torque += self.z[j]
+        if found := self._on("spring_hysteresis", j):
+            torque += found[1] * self.z[j]
+        torque += self._outside(outside.SPRING, j, ca.SX(0))
         torque += self._size("spring_creep", j, "stiffness") * self.z[j]
         return torque + self._size("spring_preload", j, "torque"), deflection
 
@@ -157,6 +208,9 @@ class Equations:
             p, gate = found
             away = (self.theta[j] - p.value("position")) / p.value("width")
             common += gate * p.value("level") * ca.exp(-(away**2))
+        common += self._outside(outside.DRY, j, torque)
+        if self.rigid[j]:
+            common += self._size("link_coulomb_friction", j, "level")
         forward = common + self._size("asymmetric_friction", j, "level_positive")
         backward = common + self._size("asymmetric_friction", j, "level_negative")
         driving = self._size("drive_efficiency", j, "loss_driving")
@@ -193,20 +247,40 @@ class Equations:
             p, gate = found
             angle = 2 * np.pi * p.value("frequency") * self.t + p.value("phase")
             torque += gate * p.value("amplitude") * ca.sin(angle)
-        return torque
+        for i, k in enumerate(self.masses):
+            if self.effects[k].joint == self.robot.joints[j]:
+                pull, _ = outside.wobbling(self.effects[k], *self._mass_state(i), ca.SX(0))
+                torque += self.gates[k] * pull
+        return torque + self._outside(outside.LINK, j, ca.SX(0))
+
+    def _mass_state(self, i: int) -> tuple[ca.SX, ca.SX]:
+        first = 5 * len(self.robot.joints) + outside.WOBBLING_STATES * i
+        return self.x[first], self.x[first + 1]
 
     def _write(self) -> None:
         """Assemble the right-hand side and what decides over the modes."""
         self._levels: dict[Switch, tuple[ca.SX, ca.SX]] = {}  # dry friction forward, backward
         self._net: dict[Switch, ca.SX] = {}  # torque that a stuck motor or link has to withstand
         n = len(self.robot.joints)
-        springs = [self._spring(j) for j in range(n)]
-        tau_t = [spring[0] for spring in springs]
-        ddtheta = [self._motor_acceleration(j, tau_t[j]) for j in range(n)]
-        ddq = self._link_accelerations(tau_t)
+        springs = [(ca.SX(0), ca.SX(0)) if self.rigid[j] else self._spring(j) for j in range(n)]
+        ddq, tau_t, link_lack = self._link_accelerations([spring[0] for spring in springs])
+        ddtheta, motor_lack = [], []
+        for j in range(n):
+            acceleration, lack = self._motor_acceleration(j, tau_t[j])
+            ddtheta.append(ddq[j] if self.rigid[j] else acceleration)
+            motor_lack.append(lack)
+            if self.rigid[j]:
+                motor_lack[j] += link_lack[j]
+                link_lack[j] = ca.SX(0)
         dz = [self._state_rate(j) for j in range(n)]
-        self.rate = ca.densify(ca.vertcat(self.dq, ddq, self.dtheta, *ddtheta, *dz))
+        masses = []
+        for i, k in enumerate(self.masses):
+            angle, speed = self._mass_state(i)
+            link = ddq[self.robot.index(self.effects[k].joint)]
+            masses += [speed, outside.wobbling(self.effects[k], angle, speed, link)[1]]
+        self.rate = ca.densify(ca.vertcat(self.dq, ddq, self.dtheta, *ddtheta, *dz, *masses))
         self.torque = ca.densify(ca.vertcat(*tau_t))
+        self.balance = ca.densify(ca.vertcat(*motor_lack, *link_lack))
         margins, drives = [], []
         for k, switch in enumerate(self.switches):
             margin, drive = self._decision(switch, self.modes[k], springs[switch.joint][1])
@@ -215,7 +289,8 @@ class Equations:
         self.margin = ca.densify(ca.vertcat(ca.SX(0, 1), *margins))
         self.drive = ca.densify(ca.vertcat(ca.SX(0, 1), *drives))
 
-    def _motor_acceleration(self, j: int, tau_t: ca.SX) -> ca.SX:
+    def _motor_torque(self, j: int, tau_t: ca.SX) -> ca.SX:
+        """Torques on motor j beside dry friction; a rigid joint's transmission is no force of its own."""
         drive = self.u[j]
         if found := self._on("torque_speed_limit", j):
             p, gate = found
@@ -227,36 +302,74 @@ class Equations:
             angle = p.value("cycles") * self.theta[j] + p.value("phase")
             drive += gate * p.value("amplitude") * ca.sin(angle)
         viscous = self.robot.motor_damping[j] + self._size("motor_viscous_friction", j, "coefficient")
-        total = drive - tau_t - viscous * self.dtheta[j]
+        total = drive - (0 if self.rigid[j] else tau_t) - viscous * self.dtheta[j]
+        total += self._outside(outside.MOTOR, j, tau_t)
         if found := self._on("dahl_friction", j):
             total -= found[1] * self.z[j]
-        inertia = self.robot.motor_inertia[j] * (1 + self._size("motor_inertia", j, "scale"))
-        if (mode := self._mode("motor", j)) is None:
-            return total / inertia
-        switch = Switch("motor", j)
-        self._levels[switch], self._net[switch] = self._dry_levels(j, tau_t), total
-        return mode * mode * (total - _friction(mode, self._levels[switch])) / inertia
+        return total
 
-    def _link_accelerations(self, tau_t: list[ca.SX]) -> ca.SX:
+    def _motor_inertia(self, j: int) -> ca.SX:
+        return self.robot.motor_inertia[j] * (1 + self._size("motor_inertia", j, "scale"))
+
+    def _motor_acceleration(self, j: int, tau_t: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """theta'' of a flexible joint, and what the motor lacks for a given one; a rigid joint's lack is
+        that of its motor alone."""
+        total = self._motor_torque(j, tau_t)
+        inertia, given = self._motor_inertia(j), self.accelerations[len(self.rigid) + j]
+        if (mode := self._mode("motor", j)) is None:
+            return total / inertia, total - inertia * given
+        switch = Switch("motor", j)
+        levels = self._dry_levels(j, tau_t)
+        if not self.rigid[j]:
+            self._levels[switch], self._net[switch] = levels, total
+        rubbing = total - _friction(mode, levels)
+        return mode * mode * rubbing / inertia, rubbing - inertia * given
+
+    def _link_accelerations(self, tau_t: list[ca.SX]) -> tuple[ca.SX, list[ca.SX], list[ca.SX]]:
+        """q'', the transmissions' torques with those of rigid joints in place of their zeros, and what the
+        links lack for given accelerations."""
         n, bodies = len(tau_t), list(self.robot.bodies)
         loads, gravity = self._loads_and_gravity()
         bias = inverse_dynamics(bodies, loads, gravity, self.q, self.dq, ca.SX(n, 1))
-        matrix = mass_matrix(bodies, loads, self.q)
-        push, free = ca.SX(n, 1), ca.SX.ones(n)
+        carried = mass_matrix(bodies, loads, self.q)
+        matrix, free = ca.SX(carried), ca.SX.ones(n)
+        own = [self._link_torque(j) - bias[j] for j in range(n)]
+        push = ca.vertcat(*[tau_t[j] - bias[j] + self._link_torque(j) for j in range(n)])
         for j in range(n):
-            push[j] = tau_t[j] - bias[j] + self._link_torque(j)
+            if self.rigid[j]:
+                matrix[j, j] += self._motor_inertia(j)
+                if (mode := self._mode("motor", j)) is not None:
+                    free[j] = mode * mode
+                continue
             if (mode := self._mode("link", j)) is not None:
                 level = self._size("link_coulomb_friction", j, "level")
                 self._levels[Switch("link", j)] = (level, level)
                 push[j] -= mode * level
                 free[j] = mode * mode
-        struck = ca.diag(free) @ matrix @ ca.diag(free) + ca.diag(1 - free)
-        diagonal, upper, permutation = ca.ldl(struck)
-        ddq = ca.ldl_solve(free * push, diagonal, upper, permutation)
+        lack = push - carried @ self.accelerations[:n]
+        factors = ca.ldl(ca.diag(free) @ matrix @ ca.diag(free) + ca.diag(1 - free))
+        tau_t = [-own[j] if self.rigid[j] else tau_t[j] for j in range(n)]  # at rest
+        fed_back = any(p.effect in BY_LOAD for p in self.effects)
+        for _ in range(SUBSTITUTIONS if self.rigid.any() and fed_back else 1):
+            whole = ca.SX(push)
+            for j in np.flatnonzero(self.rigid):
+                whole[j] += self._rigid_push(int(j), tau_t[j])
+            ddq = ca.ldl_solve(free * whole, *factors)
+            held = carried @ ddq
+            tau_t = [held[j] - own[j] if self.rigid[j] else tau_t[j] for j in range(n)]
         for switch in self.switches:
-            if switch.kind == "link":
-                self._net[switch] = push[switch.joint] - matrix[switch.joint, :] @ ddq
-        return ddq
+            j = switch.joint
+            if switch.kind == "link" or (switch.kind == "motor" and self.rigid[j]):
+                self._net[switch] = whole[j] - matrix[j, :] @ ddq
+        return ddq, tau_t, [lack[j] for j in range(n)]
+
+    def _rigid_push(self, j: int, tau_t: ca.SX) -> ca.SX:
+        """What a rigid joint's motor adds to its link, dry friction of both included."""
+        total = self._motor_torque(j, tau_t)
+        if (mode := self._mode("motor", j)) is None:
+            return total
+        self._levels[Switch("motor", j)] = levels = self._dry_levels(j, tau_t)
+        return total - _friction(mode, levels)
 
     def _decision(self, switch: Switch, mode: ca.SX, deflection: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Margin and drive of a switch."""

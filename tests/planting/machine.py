@@ -43,11 +43,11 @@ class Machine:
     """The state of one real machine, advanced by control ticks of `substeps` steps of `step` seconds each."""
 
     def __init__(self, robot: Robot, effects: list[Planted], step: float, substeps: int) -> None:
-        equations = Equations(robot, effects)
+        self.equations = equations = Equations(robot, effects)
         self.n, self.step, self.substeps = len(robot.joints), step, substeps
         self.switches = equations.switches
         self._point, self._one, self._tick = (_Compiled(f) for f in _functions(equations, step, substeps))
-        self.x = np.concatenate([np.zeros(4 * self.n), equations.z_start])
+        self.x = np.concatenate([np.zeros(4 * self.n), equations.start])
         self.modes = np.zeros(len(self.switches))
         self.unfinished_events = 0
 
@@ -58,15 +58,15 @@ class Machine:
     def advance(self, u: Array, gates: Array, t: float) -> tuple[Array, Array]:
         """One control tick from time t: motor torques u (substeps, n), gates (substeps, effects).
 
-        Returns the states (substeps, 5 n) and tau_t (substeps, n) at the end of each substep.
+        Returns the states (substeps, 5 n + m) and tau_t (substeps, n) at the end of each substep.
         """
         states, torques, starts, end = self._tick(self.x, u, self.modes, gates, t)
         broken = self.substeps
         if self.switches:
-            wrong = np.flatnonzero((starts < 0).any(axis=1))
-            if len(wrong):
+            if starts.min() < 0:
+                wrong = np.flatnonzero((starts < 0).any(axis=1))
                 broken = max(wrong[0] - 1, 0)  # what is wrong at a start happened in the substep before it
-            elif (end < 0).any():
+            elif end.min() < 0:
                 broken = self.substeps - 1
         if broken == self.substeps:
             self.x = states[-1].copy()
@@ -121,8 +121,9 @@ class Machine:
             self.modes[k] = 0
             if switch.kind == "gap":
                 return
-            place = {"link": self.n, "motor": 3 * self.n}[switch.kind] + switch.joint
-            self.x[place] = 0.0
+            sides = ("link", "motor") if self.equations.rigid[switch.joint] else (switch.kind,)
+            for side in sides:
+                self.x[{"link": self.n, "motor": 3 * self.n}[side] + switch.joint] = 0.0
             if self._point(self.x, u, self.modes, gates, t)[1][0, k] >= 0:
                 return
         drive = self._point(self.x, u, self.modes, gates, t)[2][0, k]

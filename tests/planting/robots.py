@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 
 from .chain import Array, Body, read_bodies
+from .dirty_robots import base_of, dirty_robot
 from .drawn import drawn_robot
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -17,7 +18,9 @@ DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
 
 
 def robot_file(name: str) -> Path:
-    """YAML file of a robot of ROBOTS, or of one that is drawn."""
+    """YAML file of a robot of ROBOTS, of one that is drawn, or of one that is dirty."""
+    if name.startswith("dirty_"):
+        return dirty_robot(name, robot_file(base_of(name)))
     return drawn_robot(name) if name.startswith("drawn_") else ROBOTS / f"{name}.yaml"
 
 
@@ -106,4 +109,34 @@ def deviating(robot: Robot, inexact: float, rng: np.random.Generator) -> Robot:
         motor_inertia=robot.motor_inertia * factor(n),
         damping=robot.damping * factor(n, 3.0),
         motor_damping=robot.motor_damping * factor(n, 3.0),
+    )
+
+
+MOST = 2.0  # standard deviations that a number of a machine within its tolerances is off, at most
+
+
+def within_tolerance(robot: Robot, tolerance: dict[str, float], rng: np.random.Generator) -> Robot:
+    """A real machine whose numbers are off as its file says they may be.
+
+    `tolerance` are relative standard deviations: `inertial` of masses, coordinates of centres of mass,
+    inertia tensors and motor inertias, `stiffness` of K, `damping` of D and D_m. Errors are normal, cut at
+    MOST, so that nothing changes sign.
+    """
+
+    def factor(kind: str, *shape: int) -> Array:
+        return np.maximum(1 + tolerance[kind] * np.clip(rng.normal(size=shape), -MOST, MOST), 0.05)
+
+    n = len(robot.joints)
+    bodies = []
+    for body in robot.bodies:
+        mass, tensor = factor("inertial", 2)
+        com = body.com * factor("inertial", 3)
+        bodies.append(replace(body, mass=body.mass * mass, com=com, inertia=body.inertia * tensor))
+    return replace(
+        robot,
+        bodies=tuple(bodies),
+        stiffness=robot.stiffness * factor("stiffness", n),
+        motor_inertia=robot.motor_inertia * factor("inertial", n),
+        damping=robot.damping * factor("damping", n),
+        motor_damping=robot.motor_damping * factor("damping", n),
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from .catalogue import Planted
 from .chain import Array
+from .outside import series
 from .robots import Robot
 
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")
@@ -21,6 +22,11 @@ CURRENT = "tau_motor"  # the motor's torque as its current tells it, instead of 
 
 DELAYED_WITH = {"q": "q", "dq": "q", "theta": "theta", "dtheta": "theta", "tau_t": "tau_t"}
 """The `channel` of sensor_delay that a measured channel follows."""
+
+
+PAST, WEIGHTS = np.polynomial.laguerre.laggauss(4)
+"""Nodes, in time constants, and weights of a first-order lag's memory exp(-s): exact for a motion that is a
+polynomial of degree 7 over the last ten time constants (Gauss and Laguerre's rule)."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,7 @@ class Sensors:
         self, robot: Robot, effects: list[Planted], sensors: SensorSet, ticks: int, rng: np.random.Generator
     ) -> None:
         self.robot, self.set = robot, sensors
-        order = ("sensor_delay", *_SENSOR_LAWS)
+        order = ("sensor_delay", "position_filter", *_SENSOR_LAWS, *_OUTSIDE_LAWS)
         self.effects = sorted((p for p in effects if p.effect in order), key=lambda p: order.index(p.effect))
         level = robot_noise(robot.name) if sensors.noise is None else sensors.noise
         self.noise = {
@@ -123,24 +129,42 @@ class Sensors:
 
     def clean(self, channel: str, motion: Motion, times: Array) -> Array:
         """Readings (m, n) at times (m,) with the sensors' effects, without noise and rounding."""
-        value = motion.at(channel, times[:, None] - self._delays(channel, times))
+        seen = times[:, None] - self._delays(channel, times)
+        value = motion.at(channel, seen)
         for planted in self.effects:
-            change = _SENSOR_LAWS.get(planted.effect)
+            if planted.effect == "position_filter" and channel in _both(planted):
+                j = self.robot.index(planted.joint)
+                lags = planted.value("time_constant") * PAST
+                value[:, j] = sum(
+                    w * motion.at(channel, seen - lag)[:, j] for w, lag in zip(WEIGHTS, lags, strict=True)
+                )
+        return self.changed(channel, value, times)
+
+    def changed(self, channel: str, value: Array, times: Array) -> Array:
+        """Readings (m, n) as the laws that see nothing but the reading itself leave them."""
+        for planted in self.effects:
+            change = _SENSOR_LAWS.get(planted.effect) or _OUTSIDE_LAWS.get(planted.effect)
             if change is not None and channel == _channel(planted):
                 j = self.robot.index(planted.joint)
                 on = times >= planted.start
-                value[:, j] = np.where(on, change(planted, value[:, j]), value[:, j])
+                value[:, j] = np.where(on, change(planted, value[:, j], times), value[:, j])
         return value
 
     def read(self, channel: str, motion: Motion, times: Array, ticks: Array) -> Array:
         """Readings (m, n) with the noise of the given ticks (m,), positions rounded."""
-        value = self.clean(channel, motion, times) + self.noise[channel][ticks]
+        return self._noisy(channel, self.clean(channel, motion, times), ticks)
+
+    def _noisy(self, channel: str, value: Array, ticks: Array | int) -> Array:
+        value = value + self.noise[channel][ticks]
         if channel in ("q", "theta") and self.set.resolution > 0:
             value = np.round(value / self.set.resolution) * self.set.resolution
         return value
 
-    def feedback(self, channel: str, motion: Motion, time: float, tick: int) -> Array:
-        """What the controller reads (n,)."""
+    def feedback(self, channel: str, motion: Motion, time: float, tick: int, place: int) -> Array:
+        """What the controller reads (n,) at a tick, which is sample `place` of the motion."""
+        if not self.effects:  # the motion as it is, without the way there
+            value = motion.values[channel][place]
+            return self._noisy(channel, value, tick) if self.set.noisy_feedback else value
         times = np.array([time])
         if self.set.noisy_feedback:
             return self.read(channel, motion, times, np.array([tick]))[0]
@@ -156,18 +180,33 @@ class Sensors:
 
 
 def _channel(planted: Planted) -> str | None:
-    if planted.effect in ("encoder_eccentricity", "encoder_ripple"):
+    if planted.effect in ("encoder_eccentricity", "encoder_ripple", *_OUTSIDE_LAWS):
         return planted.word("channel")
     return {"link_encoder_offset": "q", "motor_encoder_offset": "theta"}.get(planted.effect, "tau_t")
 
 
+def _both(planted: Planted) -> tuple[str, str]:
+    """A position and its velocity."""
+    position = str(planted.word("channel"))
+    return position, f"d{position}"
+
+
 _SENSOR_LAWS = {  # in the order in which they act on one sensor
-    "torque_sensor_gain": lambda p, x: (1 + p.value("gain")) * x,
-    "encoder_eccentricity": lambda p, x: x + p.value("amplitude") * np.sin(x + p.value("phase")),
-    "encoder_ripple": lambda p, x: (
+    "torque_sensor_gain": lambda p, x, t: (1 + p.value("gain")) * x,
+    "encoder_eccentricity": lambda p, x, t: x + p.value("amplitude") * np.sin(x + p.value("phase")),
+    "encoder_ripple": lambda p, x, t: (
         x + p.value("amplitude") * np.sin(p.value("cycles") * x + p.value("phase"))
     ),
-    "link_encoder_offset": lambda p, x: x + p.value("offset"),
-    "motor_encoder_offset": lambda p, x: x + p.value("offset"),
-    "torque_sensor_offset": lambda p, x: x + p.value("offset"),
+    "link_encoder_offset": lambda p, x, t: x + p.value("offset"),
+    "motor_encoder_offset": lambda p, x, t: x + p.value("offset"),
+    "torque_sensor_offset": lambda p, x, t: x + p.value("offset"),
+}
+
+_OUTSIDE_LAWS = {  # outside.py tells them
+    "encoder_series": lambda p, x, t: x + p.value("amplitude") * series(x, p.value("phase"), np.sin),
+    "torque_wander": lambda p, x, t: (
+        x + p.value("amplitude") * np.sin(2 * np.pi * t / p.value("period") + p.value("phase"))
+    ),
+    "torque_bow": lambda p, x, t: x + p.value("share") * x * np.abs(x) / p.value("reference"),
+    "torque_steps": lambda p, x, t: np.round(x / p.value("step")) * p.value("step"),
 }

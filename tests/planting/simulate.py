@@ -17,14 +17,16 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-from .catalogue import Planted, check, neighbour
+from .catalogue import Planted, check
 from .chain import Array, body_load, inverse_dynamics
+from .drive import Drive
 from .excitation import Reference, reference
 from .machine import Machine
 from .robots import Robot, deviating, read_robot
 from .sensing import CURRENT, MEASURED, TOLD, Motion, Sensors, SensorSet
 
 STEP_RATE = 5000.0  # Hz, at least; events are located, so a finer step changes nothing above 1e-7 rad
+ON_SPRINGS = ("q", "dq", "tau_t")  # what nobody measures on a rigid joint beside its motor
 SETTLING = 0.5  # s of holding the first reference before the recording starts
 
 
@@ -38,6 +40,7 @@ class Recorded:
     true: dict[str, Array] = field(
         repr=False
     )  # q, dq, theta, dtheta, tau_t, tau (applied) (rows, n), no sensor
+    run: Run = field(repr=False)
 
     def table(self) -> pa.Table:
         """The Arrow table: time as float64, channels as float32, missing cells as null."""
@@ -70,12 +73,14 @@ def plant(
     rate: float = 500,
     inexact: float = 0.0,
     plant_seed: int | None = None,
+    real: Robot | None = None,
 ) -> Recorded:
     """Record `seconds` at `rate` [Hz] of the robot with its planted effects, along a kind of excitation or a
     given reference.
 
     `seed` draws the trajectory and the noise, `plant_seed` (default: seed) the deviations of the real
-    machine, so that two recordings can share a machine. Raises ValueError on unknown names and on a rate
+    machine, so that two recordings can share a machine; `real` is that machine itself, and `inexact` is then
+    not asked. Raises ValueError on unknown names and on a rate
     above the control rate.
     """
     nominal = read_robot(robot_yaml)
@@ -86,7 +91,8 @@ def plant(
         )
     motion_seed, noise_seed, time_seed = np.random.SeedSequence(seed).spawn(3)
     machine_rng = np.random.default_rng([seed if plant_seed is None else plant_seed, 1])
-    real = deviating(nominal, inexact, machine_rng) if inexact > 0 else nominal
+    if real is None:
+        real = deviating(nominal, inexact, machine_rng) if inexact > 0 else nominal
 
     told = _Told(nominal, excitation, seconds, np.random.default_rng(motion_seed))
     run = _closed_loop(nominal, real, effects, told, seconds, sensors, np.random.default_rng(noise_seed))
@@ -128,12 +134,18 @@ def nominal_dynamics(robot: Robot) -> Callable[[Array, Array, Array], Array]:
 
 
 @dataclass(frozen=True)
-class _Run:
+class Run:
+    """What went on, at the end of every control tick where it says `ticks`; tick 0 begins at -SETTLING."""
+
     told: _Told
     motion: Motion
     sensors: Sensors
     tau_m: Array  # (ticks, n)
     applied: Array  # (samples of motion, n) torque of the motor after the command effects
+    states: Array  # (ticks, 5 n + m), the x of laws.Equations
+    modes: Array  # (ticks, switches)
+    torques: Array  # (ticks, n) what the drive gave
+    machine: Machine
 
 
 def _closed_loop(
@@ -144,7 +156,7 @@ def _closed_loop(
     seconds: float,
     sensors: SensorSet,
     rng: np.random.Generator,
-) -> _Run:
+) -> Run:
     n, ticks, period = len(nominal.joints), len(told.times), 1 / nominal.control_rate
     substeps = int(np.ceil(STEP_RATE * period - 1e-9))
     machine = Machine(real, effects, period / substeps, substeps)
@@ -152,27 +164,33 @@ def _closed_loop(
     motion = Motion(told.times[0], period / substeps, values)
     reading = Sensors(nominal, effects, sensors, ticks, rng)
     gate_since = np.array([p.start for p in effects])
-    drive = _Drive(nominal, effects, told.tau_ff[0], ticks, substeps)
+    drive = Drive(nominal, effects, told.tau_ff[0], ticks, substeps)
     tau_m, applied = np.zeros((ticks, n)), np.zeros((ticks * substeps + 1, n))
+    after, modes = np.zeros((ticks, machine.x.size)), np.zeros((ticks, machine.modes.size))
+    torques = np.zeros((ticks, n))
 
     machine.x[:n], machine.x[2 * n : 3 * n] = told.q_ref[0], told.theta_ref[0]
-    offsets = np.arange(substeps) * machine.step
+    steps = told.times[:, None] + np.arange(substeps) * machine.step  # (ticks, substeps) at their starts
+    on = (steps[:, :, None] >= gate_since - 1e-9).astype(float)
+    least, most = -nominal.torque_limit, nominal.torque_limit
     for k in range(ticks):
-        t, at = told.times[k], k * substeps
-        gates = ((t + offsets)[:, None] >= gate_since - 1e-9).astype(float)
+        t, at, gates = told.times[k], k * substeps, on[k]
         if k == 0:
             machine.settle(told.tau_ff[0], gates[0], t)
             _fill(values, slice(0, 1), machine.x[None], machine.torque(told.tau_ff[0], gates[0], t)[None], n)
-        theta, dtheta = (reading.feedback(channel, motion, t, k) for channel in ("theta", "dtheta"))
+        theta, dtheta = (reading.feedback(channel, motion, t, k, at) for channel in ("theta", "dtheta"))
         wish = told.tau_ff[k] + nominal.kp * (told.theta_ref[k] - theta) - nominal.kd * dtheta
-        tau_m[k] = np.clip(wish, -nominal.torque_limit, nominal.torque_limit)
+        tau_m[k] = np.minimum(np.maximum(wish, least), most)
         torque = drive.apply(k, t, tau_m[k])
         states, tau_t = machine.advance(torque, gates, t)
+        after[k], modes[k], torques[k] = machine.x, machine.modes, torque[-1]
         _fill(values, slice(at + 1, at + 1 + substeps), states, tau_t, n)
-        speeds = values["dtheta"][at : at + substeps + 1]
-        applied[at : at + substeps] = drive.limited(t + offsets, torque, (speeds[:-1] + speeds[1:]) / 2)
+        if drive.limits:
+            speeds = values["dtheta"][at : at + substeps + 1]
+            torque = drive.limited(steps[k], torque, (speeds[:-1] + speeds[1:]) / 2)
+        applied[at : at + substeps] = torque
     applied[-1] = applied[-2]
-    return _Run(told, motion, reading, tau_m, applied)
+    return Run(told, motion, reading, tau_m, applied, after, modes, torques, machine)
 
 
 def _fill(values: dict[str, Array], rows: slice, states: Array, tau_t: Array, n: int) -> None:
@@ -181,90 +199,8 @@ def _fill(values: dict[str, Array], rows: slice, states: Array, tau_t: Array, n:
     values["tau_t"][rows] = tau_t
 
 
-class _Drive:
-    """From commands to motor torques: gain, offset, saturation of the held command and a neighbour's share of
-    it, then its delay, then the lag."""
-
-    def __init__(
-        self, robot: Robot, effects: list[Planted], initial: Array, ticks: int, substeps: int
-    ) -> None:
-        self.robot, self.initial, self.substeps = robot, initial, substeps
-        on_held = ("torque_gain", "torque_offset", "torque_saturation", "joint_coupling")
-        self.on_held = [p for name in on_held for p in effects if p.effect == name]
-        self.delays, self.lags, self.limits = (
-            [p for p in effects if p.effect == name]
-            for name in ("torque_delay", "current_lag", "torque_speed_limit")
-        )
-        self.held = np.zeros((ticks, len(initial)))
-        self.last: Array | None = None  # torque at the end of the substep before, as far as lags follow it
-
-    def apply(self, tick: int, t: float, command: Array) -> Array:
-        """Torques (substeps, n) during the tick: the mean over each substep of the delayed, held torque, as
-        the lag follows it."""
-        held = command.copy()
-        for p in self.on_held:
-            if t >= p.start - 1e-9:
-                j = self.robot.index(p.joint)
-                if p.effect == "torque_gain":
-                    held[j] *= 1 + p.value("gain")
-                elif p.effect == "torque_offset":
-                    held[j] += p.value("offset")
-                elif p.effect == "torque_saturation":
-                    held[j] = np.clip(held[j], -p.value("limit"), p.value("limit"))
-                else:
-                    held[j] += p.value("share") * command[neighbour(self.robot, p)]
-        self.held[tick] = held
-        torque = np.repeat(held[None], self.substeps, axis=0)
-        for p in self.delays:
-            if t >= p.start - 1e-9:
-                joints = range(len(held)) if p.joint is None else [self.robot.index(p.joint)]
-                for j in joints:
-                    torque[:, j] = self._delayed(tick, p.value("delay") * self.robot.control_rate, j)
-        asked = torque.copy()
-        now = asked[0] if self.last is None else self.last  # settled at the start
-        self.last = asked[-1].copy()
-        for p in self.lags:
-            if t >= p.start - 1e-9:
-                j = self.robot.index(p.joint)
-                torque[:, j], self.last[j] = self._lagging(asked[:, j], now[j], p.value("time_constant"))
-        return torque
-
-    def limited(self, times: Array, torque: Array, speed: Array) -> Array:
-        """Torques (m, n) of substeps that begin at `times` (m,), as the limit that falls with the mean speed
-        (m, n) leaves them. The motion itself feels it at every instant, in laws.py."""
-        torque = torque.copy()
-        for p in self.limits:
-            j = self.robot.index(p.joint)
-            stall, drop = p.value("stall"), p.value("drop") * speed[:, j]
-            clipped = np.clip(torque[:, j], -stall - drop, stall - drop)
-            torque[:, j] = np.where(times >= p.start - 1e-9, clipped, torque[:, j])
-        return torque
-
-    def _lagging(self, asked: Array, now: float, time_constant: float) -> tuple[Array, float]:
-        """Means over the substeps of the torque that follows what is asked, and where it ends; exact for a
-        torque that is constant over a substep."""
-        share = 1 / (self.robot.control_rate * self.substeps * time_constant)  # of a time constant
-        mean = np.empty(len(asked))
-        for i, goal in enumerate(asked):
-            mean[i] = goal - (now - goal) * np.expm1(-share) / share
-            now = goal + (now - goal) * np.exp(-share)
-        return mean, now
-
-    def _delayed(self, tick: int, delay: float, j: int) -> Array:
-        """Mean over each substep of the held torque `delay` ticks earlier."""
-        edges = tick + np.arange(self.substeps + 1) / self.substeps - delay
-        first = np.floor(edges[:-1] + 1e-9).astype(int)
-        last = np.maximum(np.ceil(edges[1:] - 1e-9).astype(int) - 1, first)
-        late = np.clip((edges[1:] - last) * self.substeps, 0.0, 1.0)  # share of the substep after the switch
-        late = np.where(last > first, late, 1.0)
-        return late * self._past(last, j) + (1 - late) * self._past(first, j)
-
-    def _past(self, ticks: Array, j: int) -> Array:
-        return np.where(ticks < 0, self.initial[j], self.held[np.maximum(ticks, 0), j])
-
-
 def _record(
-    run: _Run,
+    run: Run,
     effects: list[Planted],
     real: Robot,
     sensors: SensorSet,
@@ -286,12 +222,15 @@ def _record(
     measured = {c: run.sensors.read(c, run.motion, sampled, ticks) for c in MEASURED}
     held = {"tau_m": run.tau_m, **{c: getattr(told, c) for c in TOLD}}
     if CURRENT in sensors.channels:
-        measured[CURRENT] = _by_current(run, effects, sampled) + run.sensors.noise[CURRENT][ticks]
+        shown = _by_current(run, effects, sampled) + run.sensors.noise[CURRENT][ticks]
+        measured[CURRENT] = run.sensors.changed(CURRENT, shown, sampled)
     columns = {"time": stamps}
     for channel in (*MEASURED, "tau_m", CURRENT, *TOLD):
         if channel in sensors.channels:
             rows = measured[channel] if channel in measured else held[channel][ticks]
             for j, joint in enumerate(joints):
+                if channel in ON_SPRINGS and np.isinf(real.stiffness[j]):
+                    continue
                 columns[f"{channel}.{joint}"] = rows[:, j].copy()
     if ragged is not None:
         for name, values in columns.items():
@@ -300,10 +239,10 @@ def _record(
     grid = np.repeat(sampled[:, None], len(joints), axis=1)
     true = {c: run.motion.at(c, grid) for c in MEASURED}
     true["tau"] = run.applied[np.round((sampled - run.motion.start) / run.motion.step).astype(int)]
-    return Recorded(columns, tuple(effects), real, true)
+    return Recorded(columns, tuple(effects), real, true, run)
 
 
-def _by_current(run: _Run, effects: list[Planted], times: Array) -> Array:
+def _by_current(run: Run, effects: list[Planted], times: Array) -> Array:
     """(m, n) motor torque as the nominal torque constant makes it of the current, its mean over one control
     period about each sample.
 

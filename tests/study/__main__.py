@@ -3,12 +3,16 @@
 PYTHONPATH=tests:. python -m study run   --out FOLDER [--shard 1/2] [--jobs 2] [--part single] [--every 10]
 PYTHONPATH=tests:. python -m study table --out FOLDER [--page docs/diagnosis_study.md]
 PYTHONPATH=tests:. python -m study misses --out FOLDER
+PYTHONPATH=tests:. python -m study goals --out FOLDER
+
+The parts dirty, background and unknown are run when asked for, and their sealed numbers with --sealed only.
 """
 
 import argparse
 from pathlib import Path
 
-from .cases import COUNTS
+from .cases import COUNTS, USUAL
+from .dirty import goals
 from .page import markdown, misses
 from .run import records, run
 
@@ -23,14 +27,17 @@ def shard(text: str) -> tuple[int, int]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     commands = parser.add_subparsers(required=True, dest="command")
-    for name in ("run", "table", "misses"):
+    for name in ("run", "table", "misses", "goals"):
         command = commands.add_parser(name)
         command.add_argument("--out", type=Path, required=True, metavar="FOLDER")
         if name == "run":
             command.add_argument("--shard", type=shard, default=(1, 1), metavar="i/n")
             command.add_argument("--jobs", type=int, help="processes, default one a core")
-            command.add_argument("--part", nargs="+", choices=list(COUNTS), default=list(COUNTS))
+            command.add_argument("--part", nargs="+", choices=list(COUNTS), default=list(USUAL))
             command.add_argument("--every", type=int, default=1, help="only every n-th case of a part")
+            command.add_argument(
+                "--sealed", action="store_true", help="the sealed numbers of dirty, background and unknown"
+            )
         if name == "table":
             command.add_argument(
                 "--page", type=Path, metavar="PAGE.md", help="write there, not to the screen"
@@ -38,14 +45,14 @@ def main() -> None:
     given = parser.parse_args()
     if given.command == "run":
         try:
-            run(given.out, given.shard, given.jobs, given.part, given.every)
+            run(given.out, given.shard, given.jobs, given.part, given.every, given.sealed)
         except ValueError as error:
             parser.exit(2, f"study: {error}\n")
         return
     found = records(given.out)
     if not found:
         parser.exit(2, f"study: no results in {given.out}; run the study first\n")
-    text = misses(found) if given.command == "misses" else markdown(found)
+    text = {"misses": misses, "goals": goals}.get(given.command, markdown)(found)
     if given.command == "table" and given.page is not None:
         given.page.write_text(text, encoding="utf-8")
     else:

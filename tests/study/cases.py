@@ -9,11 +9,16 @@
 - beyond: as single, for the effects that came later; none of the other parts has them
 - drawn: a robot, its controller, sensors and rates drawn at random for each; every fourth is healthy, the
   others have one cause, of any effect
+- dirty, background, unknown: machines with wrong numbers and a background of small errors, under one to three
+  large causes, by itself, and under a large law that no catalogue lists (planting/dirty.py). Their numbers
+  below SEALED are for development and may lead to rules; those from SEALED on are sealed: they are run to
+  count, and no rule comes from looking at one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from zlib import crc32
 
 import numpy as np
@@ -34,6 +39,7 @@ from planting import (
 )
 from planting.cases import INEXACT, Case, met_by
 from planting.catalogue import DRY_MOTOR
+from planting.dirty import dirty
 from planting.drawn import in_logarithm
 from planting.sensing import CURRENT
 from planting.sizes import MET_EFFECTS, STEP_EFFECTS, nominal, usual_effect, usual_excitation
@@ -50,7 +56,13 @@ COUNTS = {
     "several": 40,
     "beyond": 12 * len(BEYOND),
     "drawn": 160,
+    "dirty": 400,
+    "background": 400,
+    "unknown": 400,
 }
+DIRTY = {"dirty": "causes", "background": "background", "unknown": "unknown"}  # kinds of planting.dirty
+SEALED = 200
+USUAL = tuple(part for part in COUNTS if part not in DIRTY)  # what `make study` runs
 SMALLEST = 0.02  # of the usual size: most effects are then below the noise
 
 ROBOT_SHARES = {"lever": 0.2, "turret": 0.18, "crane": 0.24, "scara": 0.16, "gimbal": 0.18, "reach": 0.04}
@@ -167,6 +179,7 @@ def make(part: str, number: int) -> StudyCase:
         "several": _several,
         "beyond": _beyond,
         "drawn": _any_robot,
+        **{part: partial(_dirty, part) for part in DIRTY},
     }
     if part not in makers:
         raise ValueError(f"unknown part {part!r}; there are {', '.join(makers)}")
@@ -297,6 +310,11 @@ def _any_robot(number: int, rng: np.random.Generator) -> StudyCase:
     else:
         planted = usual_effect(effect, robot, joint, rng, size)
     return StudyCase("drawn", number, replace(case, effects=(planted,)), sensors, round(size, 4))
+
+
+def _dirty(part: str, number: int, _rng: np.random.Generator) -> StudyCase:
+    case = dirty(DIRTY[part], number)  # draws by itself
+    return StudyCase(part, number, case, case.sensed, 1.0)
 
 
 def _any_sensors(sensors: SensorSet, limit: np.ndarray, rng: np.random.Generator) -> SensorSet:

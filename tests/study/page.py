@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from . import summary
-from .cases import COUNTS
+from . import dirty, summary
+from .cases import COUNTS, DIRTY, USUAL
 from .score import (
     DETECTABLE,
     OUTCOMES,
@@ -60,6 +60,9 @@ APART = ("beyond", "drawn")  # parts that figures over several parts leave out
 
 def markdown(records: Sequence[Record]) -> str:
     """The page."""
+    every, records = records, [r for r in records if r["part"] not in DIRTY]
+    if not records:
+        return HEAD + dirty.section(every, table)
     parts = [HEAD, _made(records), _headline(records)]
     first = _first(records)
     words = {"single": OUTCOME_WORDS, "beyond": BEYOND_WORDS, "drawn": DRAWN_WORDS}
@@ -86,6 +89,7 @@ def markdown(records: Sequence[Record]) -> str:
         _parameters(first),
         _fresh(first),
         _times(first),
+        dirty.section(every, table),
     ]
     return "".join(parts)
 
@@ -115,7 +119,7 @@ def _code(records: Sequence[Record]) -> str:
 
 
 def _made(records: Sequence[Record]) -> str:
-    counts = ", ".join(f"{len(summary.of(records, p))} of {n} {p}" for p, n in COUNTS.items())
+    counts = ", ".join(f"{len(summary.of(records, p))} of {COUNTS[p]} {p}" for p in USUAL)
     joints = sorted({r["joints"] for r in records})
     return (
         f"Tables of {date.today().isoformat()}, code {_code(records)}. Cases: {counts}; robots of"
@@ -337,7 +341,9 @@ def misses(records: Sequence[Record]) -> str:
     """Every case that did not come out as it should, a paragraph each."""
     lines = []
     for r in records:
-        if not r["truth"]:
+        if r["part"] in DIRTY:
+            bad, said = dirty.missed(r), r["verdict"]
+        elif not r["truth"]:
             bad, said = summary.alarmed(r), r["verdict"]
         elif r["part"] == "struck":
             said = struck_outcome(r)
@@ -353,9 +359,7 @@ def misses(records: Sequence[Record]) -> str:
 def _told(r: Record) -> str:
     where = f"{r['robot']} {r['excitation']} {r['sensors']}, {r['seconds']:g} s at {r['rate']:g} Hz"
     off = ", nominal off 2 %" if r["inexact"] else ""
-    truth = "; ".join(
-        f"{t['effect']}/{t['joint']} {_numbers(t['parameters'])}{_since(t)}" for t in r["truth"]
-    )
+    truth = "; ".join(map(_planted, (*r["truth"], *r.get("unknown", ()), *r.get("background", ()))))
     found = "; ".join(
         f"{f['effect']}/{f['joint']} p={f['probability']} {_numbers(f['parameters'])}{_since(f)}"
         f" ~{[t[0] for t in f['ties']]}"
@@ -366,6 +370,11 @@ def _told(r: Record) -> str:
         f"excess {r['excess']}, size {r['size']}, {where}{off}\n  planted {truth or 'nothing'}\n"
         f"  verdict {r['verdict']},{tail}; found {found or 'nothing'}; left {r.get('unexplained', [])}"
     )
+
+
+def _planted(t: Record) -> str:
+    share = f" {100 * t['share']:.1f} %" if "share" in t else ""
+    return f"{t['effect']}/{t['joint']} {_numbers(t['parameters'])}{_since(t)}{share}"
 
 
 def _since(entry: Record) -> str:

@@ -12,15 +12,16 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
-from diagnose_cases import as_recording
+from support.diagnose_cases import as_recording
 
-from flexjoint.diagnose import refined, verdict
-from flexjoint.diagnose.balances import balances_of
-from flexjoint.diagnose.fit import Fit, Slot, fit
-from flexjoint.diagnose.workspace import Workspace
-from flexjoint.diagnose.worth import at_own_level
-from flexjoint.diagnosis import Finding, Fitted
-from flexjoint.effect import plan
+from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.refinement import refined
+from flexjoint.diagnosis.regression.fit import Fit, Slot, fit
+from flexjoint.diagnosis.regression.uncertainty import standard_errors
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.result import Finding, Fitted
+from flexjoint.diagnosis.search.criteria import at_own_level
+from flexjoint.effects import Planned
 
 from .cases import COUNTS, StudyCase, make
 from .run import _nominal
@@ -44,7 +45,7 @@ def measured(case: StudyCase) -> tuple[list[Number], str]:
     nominal = _nominal(case)
     recording = as_recording(replace(case.case, effects=(*case.case.effects, *case.hidden)).train())
     workspace = Workspace(balances_of(nominal, recording))
-    planned = [plan(p.effect, p.joint, dict(p.parameters), p.since) for p in case.case.effects]
+    planned = [Planned.of(p.effect, p.joint, dict(p.parameters), since=p.since) for p in case.case.effects]
     best = at_own_level(fit(workspace, planned))
     first = _findings(best)
     found, estimation = refined.refine(nominal, recording, best, first)
@@ -65,7 +66,7 @@ def measured(case: StudyCase) -> tuple[list[Number], str]:
 
 def _findings(best: Fit) -> list[Finding]:
     out = []
-    for planned, errors in zip(best.effects, verdict.standard_errors(best), strict=True):
+    for planned, errors in zip(best.effects, standard_errors(best), strict=True):
         numbers: dict[str, Fitted | str] = {}
         for p in planned.effect.params:
             std = errors[p.name]

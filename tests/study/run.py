@@ -13,33 +13,33 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnose_cases import as_recording
 from planting import Planted, robot_file
+from planting.dirty_case import Dirty
+from support.diagnose_cases import as_recording
 
 import flexjoint
-from flexjoint import robot
-from flexjoint.compare import compare
-from flexjoint.diagnose import diagnose, extended_model
-from flexjoint.diagnose.balances import balances_of
-from flexjoint.diagnose.fit import fit
-from flexjoint.diagnose.workspace import Workspace
-from flexjoint.diagnosis import Diagnosis, Fitted
-from flexjoint.effect import catalogue, plan
-from flexjoint.errors import FlexJointError
-from flexjoint.known_payload import KnownPayload
-from flexjoint.model import FlexibleJointModel
-from flexjoint.noise import white_noise
-from flexjoint.recording import Recording
-from flexjoint.robot import Robot
+from flexjoint.core.errors import FlexJointError
+from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.comparison.compare import compare
+from flexjoint.diagnosis.pipeline import diagnose
+from flexjoint.diagnosis.regression.fit import fit
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.result import Diagnosis, Fitted
+from flexjoint.effects import Planned, catalogue
+from flexjoint.recording.noise import white_noise
+from flexjoint.recording.table import Recording
+from flexjoint.robot import robot
+from flexjoint.robot.payload import KnownPayload
+from flexjoint.robot.robot import Robot
 
-from .cases import COUNTS, StudyCase, make
+from .cases import COUNTS, DIRTY, SEALED, USUAL, StudyCase, make
 
 RANGE = 10  # cases a file
 FRESH = 3  # every n-th case is simulated on fresh data too
@@ -94,7 +94,10 @@ def diagnosed(case: StudyCase) -> dict[str, Any]:
         "excluded": sorted(_struck(case.excluded)),
     }
     machine = replace(case.case, effects=(*case.case.effects, *case.hidden))
-    recording = as_recording(machine.train(), case.name)
+    recorded = machine.train()
+    recording = as_recording(recorded, case.name)
+    if isinstance(case.case, Dirty):
+        record |= case.case.measured(recorded)
     recordings, payloads = [recording], [None, *([_known(case.load)] if case.load else [None])]
     if case.second is not None:
         recordings.append(as_recording(case.second.fresh(), f"{case.name}, second"))
@@ -161,7 +164,7 @@ def least_excess(nominal: Robot, recording: Recording, causes: Sequence[Planted]
     if not balances.rows:
         return None
     workspace = Workspace(balances)
-    true = [plan(c.effect, c.joint, c.parameters, since=c.since) for c in causes]
+    true = [Planned.of(c.effect, c.joint, c.parameters, since=c.since) for c in causes]
     whole = fit(workspace, true).energy
     gains = [fit(workspace, [e for e in true if e is not one]).energy - whole for one in true]
     return round(1.0 + min(gains) / workspace.noise_energy, 5)
@@ -174,11 +177,11 @@ def _on_fresh_data(
     channels: by the nominal model, the extended one, and one with the very effects that were planted
     (start states and missed ticks of the command leave an error with any model). None where it cannot be
     simulated."""
-    true = [plan(p.effect, p.joint, p.parameters) for p in case.case.effects]
+    true = [Planned.of(p.effect, p.joint, p.parameters) for p in case.case.effects]
     out = []
-    for model in (nominal, extended_model(nominal, found), nominal.extended(true)):
+    for model in (nominal, found.extend(nominal, least=0.0), nominal.extended(true)):
         try:
-            rms = compare(recording, FlexibleJointModel(model)).rms
+            rms = compare(model, recording).rms
         except FlexJointError:
             return None
         shares = [
@@ -203,7 +206,9 @@ def _said(found: Diagnosis) -> dict[str, Any]:
                 "joint": f.joint,
                 "probability": round(f.probability, 4),
                 "left": round(f.left, 2),
+                "gain": round(f.gain, 4),
                 "reliability": round(f.reliability, 4),
+                "removed": None if f.removed is None else asdict(f.removed),
                 "parameters": values,
                 "since": f.since,
                 "ties": [[tie.effect, tie.joint] for tie in f.indistinguishable],
@@ -214,6 +219,7 @@ def _said(found: Diagnosis) -> dict[str, Any]:
         "findings": findings,
         "unexplained": [[u.joint, u.balance, round(u.share, 4), u.against] for u in found.unexplained],
         "not_excited": [list(pair) for pair in found.not_excited],
+        "remaining": [asdict(r) for r in found.remaining],
         "explained": round(found.explained, 5),
         "energy": [round(e, 4) for e in found.energy],
     }
@@ -224,10 +230,13 @@ def _numbers(fitted: Fitted) -> dict[str, list[float]]:
 
 
 # --- all cases --------------------------------------------------------------------------------------------
-def ranges(parts: Sequence[str], every: int = 1) -> Iterator[Range]:
-    """The ranges of some parts, or of every n-th of their cases."""
+def ranges(parts: Sequence[str], every: int = 1, sealed: bool | None = None) -> Iterator[Range]:
+    """The ranges of some parts, or of every n-th of their cases; of the parts that have sealed numbers
+    (cases.DIRTY) only these or only the others, or all (None)."""
     for part in parts:
-        numbers = range(0, COUNTS[part], every)
+        halves = {None: (0, COUNTS[part]), False: (0, SEALED), True: (SEALED, COUNTS[part])}
+        first, end = halves[sealed if part in DIRTY else None]
+        numbers = range(first, end, every)
         for start in range(0, len(numbers), RANGE):
             yield Range(part, numbers[start : start + RANGE])
 
@@ -236,17 +245,18 @@ def run(
     folder: Path,
     shard: tuple[int, int] = (1, 1),
     jobs: int | None = None,
-    parts: Sequence[str] = tuple(COUNTS),
+    parts: Sequence[str] = USUAL,
     every: int = 1,
+    sealed: bool | None = False,
 ) -> None:
-    """Run what is missing in the folder of every n-th range; raises ValueError when the folder holds results
-    of another version of the code."""
+    """Run what is missing in the folder of every n-th range; `sealed` as for `ranges`; raises ValueError when
+    the folder holds results of another version of the code."""
     folder.mkdir(parents=True, exist_ok=True)
     held = {record["version"] for record in records(folder)}
     if held - {version()}:
         raise ValueError(f"{folder} holds results of {sorted(held)}, this is {version()}; use another folder")
     index, count = shard
-    mine = [r for k, r in enumerate(ranges(parts, every)) if k % count == index - 1]
+    mine = [r for k, r in enumerate(ranges(parts, every, sealed)) if k % count == index - 1]
     todo = [r for r in mine if not (folder / r.file).exists()]
     print(f"{len(mine) - len(todo)} of {len(mine)} ranges are done; {version()}", flush=True)
     os.environ["OMP_NUM_THREADS"] = "1"

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flexjoint.diagnosis import Finding
-from flexjoint.report import plots, sentences
-from flexjoint.report.material import Material
-from flexjoint.report.wording import (
+from flexjoint.diagnosis.result import Finding, sentences, torque
+from flexjoint.diagnosis.result.wording import (
+    Joints,
     capital,
     cause,
     clean,
@@ -18,6 +17,8 @@ from flexjoint.report.wording import (
     percent,
     sentence,
 )
+from flexjoint.report import plots
+from flexjoint.report.material import Material
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,7 @@ class Cause:
     about: str
     parameters: tuple[ParameterLine, ...]
     probability: str
-    gain: str
-    gain_share: float  # in [0, 1], for the bar
+    removal: torque.Removal | None
     since: str
     kind: str
     change: bool  # the nominal model lists this effect: the parameters are the change
@@ -55,18 +55,21 @@ class Cause:
 @dataclass(frozen=True)
 class CausesSection:
     causes: tuple[Cause, ...]
-    numbers: tuple[str, ...]  # how they were found, which hang together, which are at a bound
+    possible: tuple[Cause, ...]  # more likely absent
+    numbers: tuple[str, ...]  # how they were found, which are correlated, which are at a bound
 
 
 def build(material: Material) -> CausesSection:
     diagnosis = material.diagnosis
     said = (sentences.found_by(diagnosis), *sentences.numbers(diagnosis))
     return CausesSection(
-        tuple(_cause(finding) for finding in diagnosis.findings), tuple(line for line in said if line)
+        tuple(_cause(finding, material.joints) for finding in sentences.likely(diagnosis)),
+        tuple(_cause(finding, material.joints) for finding in sentences.possible(diagnosis)),
+        tuple(line for line in said if line),
     )
 
 
-def _cause(finding: Finding) -> Cause:
+def _cause(finding: Finding, joints: Joints) -> Cause:
     effect = finding.planned.effect
     symbols = {param.name: param.symbol for param in effect.params}
     where = f" at {clean(finding.joint)}" if finding.joint is not None else ", the whole robot"
@@ -80,8 +83,7 @@ def _cause(finding: Finding) -> Cause:
             for name, value in finding.parameters.items()
         ),
         probability=percent(finding.probability),
-        gain=percent(finding.gain),
-        gain_share=min(max(finding.gain, 0.0), 1.0),
+        removal=torque.removal(finding, joints),
         since=onset(finding.since),
         kind=clean(finding.kind),
         change=finding.planned.nominal,

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexjoint.recording import MEASURED
-from flexjoint.report import merit, plots, series
+from flexjoint.diagnosis.result import merit
+from flexjoint.diagnosis.result.wording import clean, number, percent, unit_of, with_unit
+from flexjoint.recording.table import MEASURED
+from flexjoint.report import plots, series
 from flexjoint.report.material import Comparison, Material
-from flexjoint.report.wording import clean, number, percent, signal_name, unit_of, with_unit
 
 JOINTS, OTHER_CHANNELS = 3, 2  # the first joint with all its channels, the others with their two worst
 EXCERPT = 3.0  # [s]
@@ -120,7 +121,7 @@ def _joint(material: Material, before: Comparison, joint: str, channels: list[st
         measured = series.on_times(material.recording, channel, joint, time)
         simulated = before.simulated[channel, joint]
         improved = _after(material, channel, joint, time)
-        name, unit = signal_name(channel), unit_of(channel, prismatic)
+        name, unit = material.joints.signal(channel), unit_of(channel, prismatic)
         rms = with_unit(number(before.rms.get(f"{channel}.{joint}")), unit)
         pairs.append(
             ChannelPlots(
@@ -131,6 +132,7 @@ def _joint(material: Material, before: Comparison, joint: str, channels: list[st
                     simulated[inside],
                     None if improved is None else improved[inside],
                     channel,
+                    name,
                     prismatic,
                     f"{name} of {clean(joint)}, measured and simulated, from {start:.2f} to {stop:.2f} s",
                 ),

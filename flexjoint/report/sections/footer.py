@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import PurePath
 
+from flexjoint.diagnosis.result.wording import clean, number, percent, unit_of, with_unit
 from flexjoint.report.material import Material
-from flexjoint.report.wording import clean, number, percent, unit_of, with_unit
 
 NOISE_ROWS = 30
 
@@ -31,6 +31,7 @@ class FooterSection:
     robot: str
     recording: str
     version: str
+    rigid: bool
     facts: tuple[Fact, ...]
     noise: tuple[Noise, ...]
 
@@ -42,6 +43,7 @@ def build(material: Material) -> FooterSection:
         clean(material.robot.name),
         clean(recording),
         installed_version(),
+        material.joints.rigid,
         tuple(_facts(material)),
         tuple(
             Noise(
@@ -78,8 +80,9 @@ def _facts(material: Material) -> list[Fact]:
         Fact("Control rate", f"{robot.rates.control:g} Hz"),
         Fact(
             "Tolerance of the nominal numbers",
-            f"inertial {percent(tolerance.inertial)}, stiffness {percent(tolerance.stiffness)},"
-            f" damping {percent(tolerance.damping)}, torque {percent(tolerance.torque)} of its RMS",
+            f"inertial {percent(tolerance.inertial)},"
+            + ("" if material.joints.rigid else f" stiffness {percent(tolerance.stiffness)},")
+            + f" damping {percent(tolerance.damping)}, torque {percent(tolerance.torque)} of its RMS",
         ),
     ]
     if diagnosis.residuals:

@@ -1,35 +1,25 @@
-"""What the diagnosis does not say: left unexplained, not excited, within tolerance; and what to do next."""
+"""What the diagnosis does not say: what is tied, not excited, within tolerance; and its notes."""
 
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
 
-from flexjoint.diagnosis import Diagnosis
-from flexjoint.report.material import Material
-from flexjoint.report.wording import (
+from flexjoint.diagnosis.result import Diagnosis
+from flexjoint.diagnosis.result.wording import (
     capital,
     cause,
     clean,
     deviation,
     effect_name,
-    percent,
     sentence,
-    signal_name,
 )
+from flexjoint.report.material import Material
 
 
 @dataclass(frozen=True)
 class Tied:
     cause: str
     other: str
-
-
-@dataclass(frozen=True)
-class Left:
-    joint: str
-    balance: str
-    share: str
-    against: str
 
 
 @dataclass(frozen=True)
@@ -47,34 +37,26 @@ class Deviation:
 @dataclass(frozen=True)
 class LimitsSection:
     tied: tuple[Tied, ...]
-    left: tuple[Left, ...]
     untested: tuple[Untested, ...]
     within: tuple[Deviation, ...]
-    next_experiment: str
     notes: tuple[str, ...]
 
 
 def build(material: Material) -> LimitsSection | None:
-    """None where nothing is open; what a refused recording needs stands in the verdict."""
+    """None where nothing is open; what is left and what to do next stand in the verdict."""
     diagnosis = material.diagnosis
     sliding = material.robot.prismatic
-    refused = diagnosis.verdict == "refused"
     section = LimitsSection(
         tuple(
             Tied(cause(f.effect, f.joint), cause(t.effect, t.joint))
             for f in diagnosis.findings
             for t in f.indistinguishable
         ),
-        tuple(
-            Left(clean(u.joint), clean(u.balance), percent(u.share), signal_name(u.against))
-            for u in diagnosis.unexplained
-        ),
         _untested(diagnosis, len(material.robot.joints)),
         tuple(
             Deviation(cause(w.effect, w.joint), deviation(w.effect, w.value, w.joint in sliding))
             for w in diagnosis.within_tolerance
         ),
-        "" if refused else sentence(capital(diagnosis.next_experiment)),
         tuple(sentence(capital(note)) for note in diagnosis.notes),
     )
     return section if any(astuple(section)) else None

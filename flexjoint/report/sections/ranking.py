@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from flexjoint.diagnosis.result.wording import cause, percent, values
 from flexjoint.report.material import Material
-from flexjoint.report.wording import cause, percent, values
 
 ROWS = 12
 

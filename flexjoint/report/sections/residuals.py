@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexjoint.diagnosis import Diagnosis, ResidualView
+from flexjoint.diagnosis.result import Diagnosis, ResidualView
+from flexjoint.diagnosis.result.wording import Joints, clean, number, percent, unit_of
 from flexjoint.report import plots, series
 from flexjoint.report.material import Material
-from flexjoint.report.wording import clean, number, percent, signal_name, unit_of
 
 VIEWS, AXES = 4, 4
 NOISE_ONLY = 1.2  # mean square over the predicted noise's up to which a residual shows nothing
@@ -30,6 +30,7 @@ BALANCES: Mapping[str, str] = {
     "link": "spring torque minus the rigid body's inverse dynamics",
     "spring": "measured spring torque minus K (theta - q) + D (dtheta - dq)",
 }
+RIGID = "torque command minus inertia, friction and load of the model"  # the one balance of such a joint
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,10 @@ def build(material: Material) -> ResidualsSection | None:
         return None
     two = bool(diagnosis.findings)
     sliding = material.robot.prismatic
-    views = (_view(view, _preferred(view, diagnosis), two, view.joint in sliding) for view in chosen)
+    views = (
+        _view(view, _preferred(view, diagnosis), two, view.joint in sliding, material.joints)
+        for view in chosen
+    )
     return ResidualsSection(tuple(views), two)
 
 
@@ -101,7 +105,7 @@ def _preferred(view: ResidualView, diagnosis: Diagnosis) -> list[str]:
     return list(dict.fromkeys([*left, *named]))
 
 
-def _view(view: ResidualView, preferred: list[str], two: bool, prismatic: bool) -> View:
+def _view(view: ResidualView, preferred: list[str], two: bool, prismatic: bool, joints: Joints) -> View:
     signals = {**view.signals, "t": view.time}
     shares = {name: series.dependence(values, view.before) for name, values in signals.items()}
     telling = sorted(signals, key=lambda name: (-shares[name], name))
@@ -119,15 +123,17 @@ def _view(view: ResidualView, preferred: list[str], two: bool, prismatic: bool) 
             view.before,
             view.after if two else None,
             name,
+            joints.signal(name),
             view.noise,
             prismatic,
-            f"Residual of the {clean(view.balance)} balance of {clean(view.joint)} over {signal_name(name)}",
+            f"Residual of the {clean(view.balance)} balance of {clean(view.joint)} over"
+            f" {joints.signal(name)}",
         )
-        plotted.append(AxisPlot(signal_name(name), image, share))
+        plotted.append(AxisPlot(joints.signal(name), image, share))
     return View(
         clean(view.joint),
         clean(view.balance),
-        BALANCES.get(view.balance, ""),
+        RIGID if joints.rigid else BALANCES.get(view.balance, ""),
         number(_rms(view.before)),
         number(_rms(view.after)),
         number(view.noise),

@@ -1,13 +1,13 @@
-"""The verdict: two plain sentences, the ties in words, and three figures."""
+"""The top of the page: the three statements, and the torque and simulation errors in figures."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from flexjoint.report import merit, sentences
+from flexjoint.diagnosis.result import merit, sentences, torque
+from flexjoint.diagnosis.result.wording import capital, clean, percent, sentence
 from flexjoint.report.material import Material
-from flexjoint.report.wording import capital, percent, sentence
 
 
 @dataclass(frozen=True)
@@ -21,37 +21,47 @@ class Tile:
 class VerdictSection:
     verdict: str
     word: str
-    sentences: tuple[str, str]
-    ties: tuple[str, ...]
+    statements: tuple[sentences.Statement, ...]
     reason: str
-    next_experiment: str
     tiles: tuple[Tile, ...]
 
 
 def build(material: Material) -> VerdictSection:
     diagnosis = material.diagnosis
+    refused = diagnosis.verdict == "refused"
+    shown = diagnosis.verdict == "healthy" or sentences.needs_reason(diagnosis)
     return VerdictSection(
         diagnosis.verdict,
         sentences.VERDICTS[diagnosis.verdict],
-        sentences.verdict(diagnosis, material.gain),
-        sentences.ties(diagnosis),
-        "" if diagnosis.verdict == "refused" else sentence(capital(diagnosis.reason)),
-        sentence(capital(diagnosis.next_experiment)),
-        _tiles(material),
+        sentences.statements(diagnosis, material.gain, material.joints),
+        sentence(capital(diagnosis.reason)) if shown else "",
+        () if refused else (*_torque(material), *_simulation(material)),
     )
 
 
-def _tiles(material: Material) -> tuple[Tile, ...]:
-    total = merit.overall(material.gain)
-    if total is None or material.diagnosis.verdict == "refused":
+def _torque(material: Material) -> tuple[Tile, ...]:
+    """Of the joint whose torque the nominal model gets wrong most."""
+    worst, joints = torque.most_wrong(material.diagnosis.remaining), material.joints
+    if worst is None:
         return ()
-    if math.isnan(total.after) or not material.diagnosis.findings:
-        tiles = [Tile(percent(total.before), "error of the simulation (NRMSE)")]
-    else:
-        tiles = [
-            Tile(percent(total.before), "error of the nominal model (NRMSE)"),
-            Tile(percent(total.after), "error with the named causes", True),
-        ]
+    after = "with the causes" if material.diagnosis.findings else "nominal numbers within tolerance"
+    return (
+        Tile(
+            joints.torque(worst.joint, worst.before), f"torque error at {clean(worst.joint)}, nominal model"
+        ),
+        Tile(joints.torque(worst.joint, worst.after), f"torque error there, {after}", True),
+    )
+
+
+def _simulation(material: Material) -> tuple[Tile, ...]:
+    total = merit.overall(material.gain)
+    if total is None:
+        return ()
+    label = "error of the simulation, of the signals' standard deviation (NRMSE)"
+    value = percent(total.before)
+    if material.diagnosis.findings and not math.isnan(total.after):
+        value += f" → {percent(total.after)}"
+    tiles = [Tile(value, label)]
     if not math.isnan(total.floor):
-        tiles.append(Tile(percent(total.floor), "that sensor noise alone leaves"))
+        tiles.append(Tile(percent(total.floor), "of it that sensor noise alone leaves"))
     return tuple(tiles)

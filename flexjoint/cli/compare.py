@@ -1,0 +1,32 @@
+"""`flexjoint compare`: how far a robot's simulation is from a recording."""
+
+from __future__ import annotations
+
+import argparse
+
+from rich.console import Console
+
+from flexjoint.cli.options import load_chosen
+from flexjoint.cli.outputs import Asked
+from flexjoint.diagnosis.comparison.compare import compare
+from flexjoint.recording import table as recording
+from flexjoint.recording.checks import check
+from flexjoint.report.terminal import show
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """The command. Raises FlexJointError on unusable input."""
+    Asked(json=arguments.json).check()
+    robot = load_chosen(arguments)
+    table = recording.read(arguments.recording)
+    check(robot, table)
+    result = compare(
+        robot,
+        table,
+        horizon=arguments.horizon,
+        closed_loop=arguments.closed_loop,
+        engine=arguments.engine,
+    )
+    if arguments.json is not None:
+        result.write(arguments.json)
+    show(result.table(), Console())

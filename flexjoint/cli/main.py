@@ -1,0 +1,181 @@
+"""The command line: `flexjoint diagnose | compare | simulate | plan | theta-d | view | paper | demo | ...`.
+
+Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
+standard error. What a command needs is imported when it runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from flexjoint.cli import options, view
+from flexjoint.cli.paper import command as paper
+from flexjoint.core.errors import FlexJointError
+
+UNUSABLE = 2
+INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code (`--help` and wrong usage exit by themselves)."""
+    arguments = _parser().parse_args(argv)
+    try:
+        arguments.run(arguments)
+        sys.stdout.flush()
+    except FlexJointError as error:
+        return _say(str(error), UNUSABLE)
+    except BrokenPipeError:  # whoever read the output has enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return _say(f"{error.filename}: {error.strerror}", UNUSABLE)
+    except KeyboardInterrupt:
+        return _say("interrupted", INTERRUPTED)
+    return 0
+
+
+def _say(message: str, code: int) -> int:
+    print(f"flexjoint: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise SystemExit(_say(f"{message} (see {self.prog} --help)", UNUSABLE))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="flexjoint",
+        description="Simulate, compare and diagnose robots with series elastic and flexible joints.",
+    )
+    parser.add_argument("--version", action="version", version=_version())
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
+    diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="CSV or Parquet table")
+    options.add_robot(diagnose)
+    diagnose.add_argument(
+        "--payload",
+        action="append",
+        default=[],
+        metavar="REC:JOINT=KG,X,Y,Z",
+        help="a known load in one of the recordings, its centre in the link frame [m]; may be repeated",
+    )
+    diagnose.add_argument("--json", type=Path, metavar="OUT.json", help="write the diagnosis as JSON")
+    diagnose.add_argument("--report", type=Path, metavar="OUT.html", help="write a page to read")
+    diagnose.add_argument("--model", type=Path, metavar="OUT.yaml", help="write the extended robot")
+    diagnose.add_argument(
+        "--all-causes",
+        action="store_true",
+        help="put causes below 50 %% probability into the extended robot, too",
+    )
+    diagnose.add_argument("--quiet", action="store_true", help="print nothing")
+    diagnose.add_argument(
+        "--no-refine", action="store_true", help="leave the numbers as the torque balances give them"
+    )
+    diagnose.set_defaults(run=_lazily("diagnose"))
+
+    compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
+    compare.add_argument("recording", type=Path, metavar="REC", help="CSV or Parquet table")
+    options.add_robot(compare)
+    compare.add_argument("--horizon", type=float, default=0.5, help="window length [s], default 0.5")
+    compare.add_argument("--closed-loop", action="store_true", help="drive by references, not by torques")
+    options.add_engine(compare)
+    compare.add_argument("--json", type=Path, metavar="OUT.json", help="write the errors as JSON")
+    compare.set_defaults(run=_lazily("compare"))
+
+    simulate = commands.add_parser("simulate", help="simulate a robot along a reference")
+    options.add_robot(simulate)
+    simulate.add_argument(
+        "--reference", type=Path, required=True, metavar="REC", help="table with q_ref, or tau_m"
+    )
+    simulate.add_argument(
+        "--out", type=Path, required=True, metavar="REC", help="recording to write (.csv or .parquet)"
+    )
+    simulate.add_argument("--scheme", metavar="NAME", help="integration scheme (docs/simulation.md)")
+    simulate.add_argument(
+        "--width", type=float, metavar="W", help="[rad/s] over which schemes that need it smooth dry friction"
+    )
+    options.add_engine(simulate)
+    simulate.set_defaults(run=_lazily("simulate"))
+
+    _add_theta_d(commands)
+    view.add(commands)
+
+    _add_plan(commands)
+
+    demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
+    demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
+    demo.set_defaults(run=_lazily("demo"))
+
+    robots = commands.add_parser("robots", help="list the robots that come with flexjoint")
+    robots.set_defaults(run=_lazily("robots"))
+
+    effects = commands.add_parser("effects", help="list the physical effects it knows")
+    effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
+    effects.set_defaults(run=_lazily("effects"))
+
+    paper.add(commands)
+    return parser
+
+
+def _add_theta_d(commands: Any) -> None:
+    theta_d = commands.add_parser("theta-d", help="motor positions and torques that hold given poses")
+    theta_d.add_argument("poses", type=Path, metavar="POSES", help="CSV or Parquet table with q.<joint>")
+    options.add_robot(theta_d)
+    theta_d.add_argument("--out", type=Path, required=True, metavar="OUT", help=".csv or .parquet to write")
+    theta_d.add_argument(
+        "--contact",
+        action="append",
+        default=[],
+        metavar="FRAME",
+        help="a point that carries; may be repeated",
+    )
+    theta_d.add_argument("--path", action="store_true", help="poses are a slow path: hysteresis remembers")
+    theta_d.add_argument("--max-deflection", type=float, metavar="RAD", help="largest theta - q to accept")
+    theta_d.add_argument("--details", action="store_true", help="write g.<joint> and phi.<joint>, too")
+    theta_d.set_defaults(run=_lazily("theta_d"))
+
+
+def _add_plan(commands: Any) -> None:
+    plan = commands.add_parser("plan", help="design the recording that decides what a diagnosis left open")
+    options.add_robot(plan)
+    plan.add_argument("--diagnosis", type=Path, metavar="D.json", help="break its ties (`diagnose --json`)")
+    plan.add_argument(
+        "--out", type=Path, required=True, metavar="REF", help="reference to write (.csv or .parquet)"
+    )
+    plan.add_argument("--seconds", type=float, help="duration, default 16")
+    plan.add_argument("--reach", type=float, help="rad to either side of the centre, default 0.6")
+    plan.add_argument("--speed", type=float, help="rad/s at most, default the URDF's limit")
+    plan.add_argument("--seed", type=int, default=1, help="of the search for a motion, default 1")
+    plan.add_argument("--quiet", action="store_true", help="print nothing")
+    plan.set_defaults(run=_lazily("plan"))
+
+
+def _lazily(command: str) -> Callable[[argparse.Namespace], None]:
+    """A command's `run`, whose module, and all that it needs, is imported when it runs."""
+
+    def run(arguments: argparse.Namespace) -> None:
+        importlib.import_module(f"flexjoint.cli.{command}").run(arguments)
+
+    return run
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return f"flexjoint {version('flexjoint')}"
+    except PackageNotFoundError:  # run from a checkout
+        return "flexjoint (not installed)"

@@ -1,0 +1,1 @@
+"""Experiments of Kashiri et al. 2017."""

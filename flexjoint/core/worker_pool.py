@@ -1,0 +1,171 @@
+"""Processes that share the work of a search. Threads do not help: the work is many small arrays, and the
+interpreter lets one thread at a time between them.
+
+A process is forked once and holds what was there then. What is sent to and fro refers to that by its place,
+and is small: fits, and what was found of candidates.
+"""
+
+from __future__ import annotations
+
+import io
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any, TypeVar
+
+from flexjoint.core.errors import ModelError
+
+WORKERS = "FLEXJOINT_WORKERS"  # environment variable: processes, instead of one per core
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class WorkerPool:
+    """This process and those that it has forked, each asked for its share of some items: the results do not
+    depend on how many there are."""
+
+    def __init__(self, shared: Iterable[object]) -> None:
+        self._shared = list(shared)
+        self._places = {id(one): place for place, one in enumerate(self._shared)}
+        self._others: list[tuple[BaseProcess, Connection]] = []
+
+    @property
+    def size(self) -> int:
+        return 1 + len(self._others)
+
+    def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+        """`function` of every item, in order; item k is always asked of process k modulo their number. The
+        function is one of a module, or a method of something shared.
+
+        Raises what the function raises; a process that was killed is done without."""
+        size = self.size
+        for k, (_, pipe) in enumerate(self._others, start=1):
+            if items[k::size]:
+                self._send(pipe, (function, items[k::size]))
+        out: list[Any] = [None] * len(items)
+        try:
+            out[::size] = [function(item) for item in items[::size]]
+        except BaseException:
+            self.dismiss()  # answers that nobody waits for would be taken for those to the next question
+            raise
+        for k, other in list(enumerate(self._others, start=1)):
+            if items[k::size]:
+                out[k::size] = self._answer(other, function, items[k::size])
+        return out
+
+    def _answer(
+        self, other: tuple[BaseProcess, Connection], function: Callable[[Item], Result], items: Sequence[Item]
+    ) -> list[Result]:
+        try:
+            done, answer = self._received(other[1])
+        except (EOFError, OSError):
+            self._others.remove(other)
+            return [function(item) for item in items]
+        if not done:
+            raise answer
+        return list(answer)
+
+    def _send(self, pipe: Connection, message: object) -> None:
+        buffer = io.BytesIO()
+        _Pickler(buffer, self._places).dump(message)
+        try:
+            pipe.send_bytes(buffer.getbuffer())
+        except OSError:
+            pipe.close()  # it was killed: nobody reads
+
+    def _received(self, pipe: Connection) -> Any:
+        return _Unpickler(io.BytesIO(pipe.recv_bytes()), self._shared).load()
+
+    def fork(self, count: int) -> None:
+        """Fork `count` more processes."""
+        context = multiprocessing.get_context("fork")
+        for _ in range(count):
+            here, there = context.Pipe()
+            process = context.Process(target=self._serve, args=(there, here), daemon=True)
+            with warnings.catch_warnings():
+                # other threads' locks do not concern a process that only computes and answers
+                warnings.simplefilter("ignore", DeprecationWarning)
+                process.start()
+            there.close()
+            self._others.append((process, here))
+
+    def _serve(self, pipe: Connection, other_end: Connection) -> None:
+        """Answer until nobody asks any more."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asks ends it
+        other_end.close()
+        for _, inherited in self._others:
+            inherited.close()
+        self._others = []
+        while True:
+            try:
+                function, items = self._received(pipe)
+            except (EOFError, OSError):
+                return
+            answer: tuple[bool, object]
+            try:
+                answer = True, [function(item) for item in items]
+            except Exception as error:  # raised again by who asked
+                answer = False, error
+            self._send(pipe, answer)
+            del function, items, answer
+
+    def dismiss(self) -> None:
+        for process, pipe in self._others:
+            process.kill()  # it holds nothing that must be put away, and may be in the midst of its share
+            process.join()
+            pipe.close()
+        self._others = []
+
+
+@contextmanager
+def worker_pool(shared: Iterable[object], count: int) -> Iterator[WorkerPool]:
+    """A pool of `count` processes, this one included, that know `shared` by reference."""
+    made = WorkerPool(shared)
+    try:
+        made.fork(count - 1)
+        yield made
+    finally:
+        made.dismiss()
+
+
+def workers_of(asked: int | None) -> int:
+    """How many processes to use: as many as asked for, FLEXJOINT_WORKERS, or one per core; one where
+    processes cannot be forked safely.
+
+    Raises ModelError when fewer than one are asked for."""
+    if asked is None and WORKERS in os.environ:
+        text = os.environ[WORKERS]
+        if not text.isdecimal() or int(text) < 1:
+            raise ModelError(f"{WORKERS}: expected a whole number from 1, got {text!r}")
+        asked = int(text)
+    if asked is not None and asked < 1:
+        raise ModelError(f"workers: expected a whole number from 1, got {asked}")
+    if sys.platform != "linux" or multiprocessing.current_process().daemon:
+        return 1
+    return len(os.sched_getaffinity(0)) if asked is None else asked
+
+
+class _Pickler(pickle.Pickler):
+    def __init__(self, file: io.BytesIO, places: dict[int, int]) -> None:
+        super().__init__(file, protocol=5)
+        self._places = places
+
+    def persistent_id(self, obj: object) -> int | None:
+        return self._places.get(id(obj))
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: io.BytesIO, shared: Sequence[object]) -> None:
+        super().__init__(file)
+        self._shared = shared
+
+    def persistent_load(self, place: int) -> object:
+        return self._shared[place]

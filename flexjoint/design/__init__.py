@@ -1,0 +1,1 @@
+"""Linear models, gains and margins of flexible joints."""

@@ -1,0 +1,1 @@
+"""Which torques must vanish along the measured motion."""

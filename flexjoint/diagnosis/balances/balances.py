@@ -1,0 +1,199 @@
+"""Torque balances of every joint: what the model says must vanish, evaluated on readings.
+
+Per flexible joint, with s the spring torque that the model makes of the encoders,
+
+    motor   F tau - B theta'' - D_m theta' - s + F friction
+    link    s + F (link torques) - RNEA(F q, F q', F q'')
+    spring  F tau_t - s
+
+where F is the Gaussian filter. The measured tau_t stays out of the first two: encoders give s with far
+less noise. A rigid joint (infinite stiffness) has the sum of the first two as its motor balance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy import fft
+
+from flexjoint.core.lru_cache import LruCache
+from flexjoint.diagnosis.balances.chain import Chain, Chains
+from flexjoint.diagnosis.balances.motion import Motion, reconstruct
+from flexjoint.diagnosis.settings import USUAL, Settings
+from flexjoint.diagnosis.signals.rounding import Colour, colours_of
+from flexjoint.diagnosis.signals.signals import centred, denoised, prepare
+from flexjoint.effects import Planned, Site
+from flexjoint.recording.table import Recording
+from flexjoint.robot.robot import Robot
+
+MOTOR, LINK, SPRING = "motor", "link", "spring"
+REMEMBERED = 5e6  # bytes of changes of the rigid-body torques
+
+
+@dataclass(frozen=True)
+class Row:
+    """A balance of a joint."""
+
+    balance: str
+    joint: int
+
+
+class Balances:
+    """All balances of a recording against a robot, as functions of the effects assumed."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion, self.filter = motion, motion.filter
+        self.chains = Chains(motion)
+        self.rows: tuple[Row, ...] = tuple(_rows(motion))
+        self._rigid = self.filter.spectrum(motion.rigid.tau)  # evaluated on filtered motion already
+        self._rates = [self.chains.jomega**order for order in range(3)]
+        self._loads: LruCache[np.ndarray] = LruCache()
+        self.colours: dict[int, Colour] = {}  # of noise, which only a twin without it tells
+
+    @property
+    def settings(self) -> Settings:
+        return self.motion.readings.settings
+
+    def residual(self, effects: Sequence[Planned]) -> np.ndarray:
+        """(rows, F) spectra of all balances with these effects at work."""
+        chains = self._all(effects)
+        load = self._rigid + self._rigid_change(effects, chains)
+        return np.array([self._row(row, chains[row.joint], load[row.joint]) for row in self.rows])
+
+    def change(self, base: Sequence[Planned], effects: Sequence[Planned]) -> np.ndarray:
+        """(rows, F) residual of `effects` minus that of `base`; only joints that differ are evaluated."""
+        out = np.zeros((len(self.rows), self.filter.omega.size), dtype=complex)
+        for r, spectrum in self.changed(base, effects).items():
+            out[r] = spectrum
+        return out
+
+    def changed(self, base: Sequence[Planned], effects: Sequence[Planned]) -> dict[int, np.ndarray]:
+        """The same, (F,) by row, of the rows that may differ."""
+        out: dict[int, np.ndarray] = {}
+        before, after = self._all(base), self._all(effects)
+        load: np.ndarray | float = 0.0
+        loading, loaded = self._loading(base, before), self._loading(effects, after)
+        if loading != loaded:
+            load = self._rigid_change(effects, after) - self._rigid_change(base, before)
+        for r, row in enumerate(self.rows):
+            j = row.joint
+            if row.balance == MOTOR and before[j].scale != after[j].scale:
+                was, now = (
+                    self._row(row, chains[j], self._rigid[j] + self._rigid_change(of, chains)[j])
+                    for of, chains in ((base, before), (effects, after))
+                )
+                out[r] = now - was
+                continue
+            if before[j] is not after[j]:
+                out[r] = self._row(row, after[j], 0.0) - self._row(row, before[j], 0.0)
+            if isinstance(load, np.ndarray) and self._carries_load(row):
+                change = load[j] * (after[j].scale if row.balance == MOTOR else 1.0)
+                out[r] = out[r] - change if r in out else -change
+        return out
+
+    def time_series(self, spectrum: np.ndarray) -> np.ndarray:
+        """(..., F) -> (..., N)."""
+        return fft.irfft(spectrum, self.filter.size, axis=-1)[..., : self.filter.count]
+
+    def torque_scale(self) -> np.ndarray:
+        """(n,) RMS torque of each joint [N m]: the larger of motor and load, about zero."""
+        readings = self.motion.readings
+        used = readings.valid
+        load = np.sqrt(np.mean(self.motion.rigid.tau[:, used] ** 2, axis=1))
+        torque = readings.torque[:, used]
+        drive = np.sqrt(np.mean(np.where(np.isfinite(torque), torque, 0.0) ** 2, axis=1))
+        return np.maximum(np.maximum(load, drive), 1e-6)
+
+    # ------------------------------------------------------------------ parts
+    def _all(self, effects: Sequence[Planned]) -> list[Chain]:
+        own: dict[str | None, list[Planned]] = {joint.name: [] for joint in self.motion.robot.joints}
+        bodies = [e for e in effects if e.effect.site is Site.BODY]
+        for e in effects:
+            if e.joint in own and e.effect.site is not Site.BODY:
+                own[e.joint].append(e)
+        return [self.chains.get(i, [*effects_of, *bodies]) for i, effects_of in enumerate(own.values())]
+
+    def _row(self, row: Row, chain: Chain, load: np.ndarray | float) -> np.ndarray:
+        if row.balance == MOTOR:
+            rigid = self.motion.robot.joints[row.joint].rigid
+            return chain.scale * (chain.motor - (load if rigid else chain.spring_torque))
+        if row.balance == LINK:
+            return chain.spring_torque + chain.link - load
+        return chain.reading - chain.spring_torque
+
+    def _carries_load(self, row: Row) -> bool:
+        return row.balance == LINK or (row.balance == MOTOR and self.motion.robot.joints[row.joint].rigid)
+
+    def _loading(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> tuple[object, ...]:
+        """What changes the rigid-body torques: BODY effects, and sensors' that correct a link's angle."""
+        names = self.motion.robot.joint_names
+        corrected = {names[k] for k, chain in enumerate(chains) if chain.q_change is not None}
+        return tuple(
+            e.identity
+            for e in effects
+            if e.effect.site is Site.BODY or (e.effect.site is Site.SENSOR and e.joint in corrected)
+        )
+
+    def _rigid_change(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> np.ndarray:
+        """(n, F): change of the rigid-body torques by BODY effects and by corrected link angles, to first
+        order in the correction; remembered by these effects."""
+        make = partial(self._evaluated_rigid_change, effects, chains)
+        return self._loads.get(self._loading(effects, chains), make, REMEMBERED)
+
+    def _evaluated_rigid_change(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> np.ndarray:
+        rigid = self.motion.rigid
+        change = self.chains.loads.added([e for e in effects if e.effect.site is Site.BODY])
+        for k, chain in enumerate(chains):
+            if chain.q_change is None:
+                continue
+            shifts = self.time_series(np.array([rate * chain.q_change for rate in self._rates]))
+            for gain, shift in zip((rigid.by_q, rigid.by_v, rigid.mass), shifts, strict=True):
+                change = change + gain[:, :, k].T * shift
+        return self.filter.spectrum(change)
+
+    def inertial_torque(self, i: int, added: np.ndarray) -> np.ndarray:
+        """(n, N) torques of a change (10,) of the inertial parameters of joint i's link."""
+        return self.motion.rigid.regressor.torque(i, added)
+
+
+class TwinBalances(Balances):
+    """Balances of a recording, and (`quiet`) of the same recording with its positions denoised. Columns
+    that carry the residual's own noise would draw a regression towards numbers that shrink a balance."""
+
+    def __init__(self, motion: Motion, quiet: Motion, *, denoised_rest: bool = True) -> None:
+        """`denoised_rest`: whether the recording without noise says what a dry friction holds at rest."""
+        super().__init__(motion)
+        self.quiet = Balances(quiet)
+        self.chains.calm = self.quiet.chains if denoised_rest else None
+        self.colours = colours_of(motion.readings, quiet.readings)
+
+
+def balances_of(robot: Robot, recording: Recording, settings: Settings = USUAL) -> TwinBalances:
+    """The balances of a recording against a robot, with a denoised twin; RecordingError when the
+    sensors do not allow any."""
+    readings = centred(robot, prepare(robot, recording, settings))
+    return TwinBalances(
+        reconstruct(robot, readings, recording), reconstruct(robot, denoised(readings), recording)
+    )
+
+
+def acts_within_a_joint(e: Planned) -> bool:
+    """Whether an effect changes the balances of its own joint only: a body's load, and an encoder's angle,
+    by which bodies are moved, change those of others."""
+    return e.joint is not None and e.effect.site not in (Site.BODY, Site.SENSOR)
+
+
+def _rows(motion: Motion) -> list[Row]:
+    rows = []
+    for i, joint in enumerate(motion.robot.joints):
+        if np.isfinite(motion.readings.torque[i, 0]):
+            rows.append(Row(MOTOR, i))
+        if joint.rigid:
+            continue
+        rows.append(Row(LINK, i))
+        if np.isfinite(motion.readings.tau_t[i, 0]):
+            rows.append(Row(SPRING, i))
+    return rows

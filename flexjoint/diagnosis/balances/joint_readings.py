@@ -1,0 +1,133 @@
+"""One joint's readings, filtered: what its torque balances begin with."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+
+from flexjoint.diagnosis.balances.motion import Motion
+from flexjoint.diagnosis.signals.signals import wiener
+from flexjoint.effects import Signals
+
+ROUNDING = 1e-4  # of a torque: as well as filters and interpolation keep it
+
+
+class JointReadings:
+    """What of a joint's readings does not depend on any effect but its sensors', computed once. `true` are
+    q, theta and tau_t with what sensors do taken back, where they do anything."""
+
+    def __init__(
+        self, motion: Motion, i: int, true: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    ) -> None:
+        window, readings = motion.filter, motion.readings
+        if true is None:
+            true = motion.q[i], motion.theta[i], readings.tau_t[i]
+        self.q, self.theta, self.tau_t = true
+        self._window, self._drive = window, motion.robot.joints[i].drive
+        self._readings, self._joint = readings, i
+        self._complete = not any(joint == i for _, joint in motion.missing)
+        self.driven = bool(np.isfinite(readings.torque[i, 0]))
+        self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
+        self.q_hat = window.spectrum(self.q) * window.gain
+        self.theta_hat = window.spectrum(self.theta) * window.gain
+
+    @property
+    def nbytes(self) -> int:
+        return 12 * self.q.nbytes  # about: as many series, or spectra of as many bytes
+
+    @cached_property
+    def torque_hat(self) -> np.ndarray:
+        return self._window.spectrum(self.torque) * self._window.gain
+
+    @cached_property
+    def reading(self) -> np.ndarray:
+        """Spectrum of the transmission's measured torque; 0 where there is none."""
+        if not np.isfinite(self.tau_t[0]):
+            return np.zeros_like(self.q_hat)
+        return self._window.spectrum(self.tau_t) * self._window.gain
+
+    @cached_property
+    def spring_hat(self) -> np.ndarray:
+        """Spectrum of the torque of the nominal spring."""
+        s = 1j * self._window.omega
+        return np.asarray((self._drive.K + self._drive.D * s) * (self.theta_hat - self.q_hat))
+
+    @cached_property
+    def spring(self) -> np.ndarray:
+        return np.asarray(fft.irfft(self.spring_hat, self._window.size)[: self._window.count])
+
+    @cached_property
+    def precisions(self) -> np.ndarray:
+        """(3, F) one over the variance with which encoders, motor and torque sensor tell the spring's torque,
+        at each frequency; 0 of what is not there."""
+        s, noise, j = 1j * self._window.omega, self._readings.noise, self._joint
+        by_q, by_theta, by_sensor, by_torque = (noise[c][j] ** 2 for c in ("q", "theta", "tau_t", "torque"))
+        encoders = np.abs(self._drive.K + self._drive.D * s) ** 2 * (by_q + by_theta)
+        motor = by_torque + np.abs(self._drive.B * s**2 + self._drive.D_m * s) ** 2 * by_theta
+        sensor = np.full_like(encoders, by_sensor)
+        # what is not noise is known to no more than rounding
+        least = (ROUNDING * float(np.std(self.spring))) ** 2 + 1e-300
+        told = np.array([self._complete, self.driven and self._complete, np.isfinite(self.tau_t[0])])
+        return np.where(told[:, None], 1.0 / np.maximum([encoders, motor, sensor], least), 0.0)
+
+    def told(
+        self, spring_hat: np.ndarray, reading: np.ndarray, motor_hat: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Spectrum of the spring's torque, which a friction holds against, as its deflection, its sensor and
+        (where it is not None) its motor tell it: each frequency by what tells it best, but the fast ones by
+        the deflection, which rounds a stop as the accelerations do that its torque is weighed against."""
+        gains = self._gains[motor_hat is not None]
+        if gains is None:
+            return spring_hat
+        spring, motor, sensor = gains
+        told = spring * spring_hat + sensor * reading
+        return told if motor_hat is None else told + motor * motor_hat
+
+    @cached_property
+    def _gains(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """(3, F) gains of deflection, motor and sensor in `told`, without the motor and with it; None where
+        the deflection alone tells."""
+        gains: list[np.ndarray | None] = []
+        for motor in (0.0, 1.0):
+            shares = self.precisions * np.array([1.0, motor, 1.0])[:, None]
+            if np.any(shares[1:]):
+                best = self._slow * shares / np.sum(shares, axis=0)
+                best[0] += 1.0 - self._slow
+                gains.append(best)
+            else:
+                gains.append(None)
+        return gains[0], gains[1]
+
+    @cached_property
+    def _slow(self) -> np.ndarray:
+        """(F,) gain of what is slower than a denoised acceleration rings."""
+        ringing = self._readings.settings.balances.ringing
+        return np.exp(-0.5 * (ringing * self._readings.sigma * self._window.omega) ** 2)
+
+    @cached_property
+    def shaft_hat(self) -> np.ndarray:
+        """Spectrum of what the nominal motor needs for its own motion."""
+        s = 1j * self._window.omega
+        return np.asarray((self._drive.B * s**2 + self._drive.D_m * s) * self.theta_hat)
+
+    @cached_property
+    def noise(self) -> Signals:
+        """What a Wiener filter takes for noise in q, theta and phi, each by itself (what differs between two
+        filters would be a deflection), and in their rates."""
+        readings, smooth = self._readings, self._window.smooth
+        size = {name: float(readings.noise[name][self._joint]) for name in ("q", "theta")}
+        size["phi"] = float(np.hypot(size["q"], size["theta"]))
+        signals = {"q": self.q, "theta": self.theta, "phi": self.theta - self.q}
+        noise = {name: x - wiener(x, size[name], readings.period) for name, x in signals.items()}
+        rates = {f"d{name}": smooth(x, 1) for name, x in noise.items()}
+        return Signals(**noise, **rates)
+
+    @cached_property
+    def dq(self) -> np.ndarray:
+        return self._window.smooth(self.q, 1)
+
+    @cached_property
+    def dtheta(self) -> np.ndarray:
+        return self._window.smooth(self.theta, 1)

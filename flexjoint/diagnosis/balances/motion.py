@@ -1,0 +1,289 @@
+"""Link and motor motion of a recording, completed where a sensor is absent, and the rigid-body torques
+along it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+
+from flexjoint.core.errors import RecordingError
+from flexjoint.diagnosis.signals.signals import Filter, Readings, make_filter
+from flexjoint.recording.table import Recording
+from flexjoint.rigidbody.numeric import PinBody
+from flexjoint.robot.robot import Robot
+
+DRIVEN_SUBSTEPS = 2  # per sample, where a link's motion is simulated from its motor's
+REGRESSOR_CHUNK = 1000  # samples evaluated at a time
+
+
+class Regressor:
+    """Torques per unit of each actuated body's ten inertial parameters along a motion, evaluated when they
+    are first asked for. A body loads the joints that carry it: only those are kept."""
+
+    def __init__(self, robot: Robot, at: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+        self._robot, self._motion = robot, (at, v, a)
+
+    @cached_property
+    def _bodies(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Per actuated body: the joints (k,) that it loads, and their torques (10, k, N)."""
+        joints, count = self._robot.joints, len(self._motion[0])
+        loaded = []
+        for joint in joints:
+            carried_by = set(self._robot.model.supports[joint.pin_id])
+            loaded.append(np.array([k for k, other in enumerate(joints) if other.pin_id in carried_by]))
+        out = [(rows, np.empty((10, rows.size, count), np.float32)) for rows in loaded]
+        body, rows_v = PinBody(self._robot.model), np.array([joint.idx_v for joint in joints])
+        columns = [10 * (joint.pin_id - 1) + np.arange(10) for joint in joints]
+        for first in range(0, count, REGRESSOR_CHUNK):
+            part = slice(first, first + REGRESSOR_CHUNK)
+            whole = body.regressor_batch(*(x[part] for x in self._motion))
+            for (rows, kept), column in zip(out, columns, strict=True):
+                kept[:, :, part] = whole[:, rows_v[rows][:, None], column].transpose(2, 1, 0)
+        return out
+
+    def forget(self, limit: float) -> None:
+        """Give the memory back, where it is more than so many bytes: it can be evaluated again."""
+        if sum(kept.nbytes for _, kept in self.__dict__.get("_bodies", [])) > limit:
+            del self.__dict__["_bodies"]
+
+    def torque(self, i: int, added: np.ndarray) -> np.ndarray:
+        """(n, N) torques of a change (10,) of the inertial parameters of joint i's link."""
+        rows, kept = self._bodies[i]
+        out = np.zeros((len(self._robot.joints), kept.shape[2]))
+        out[rows] = np.tensordot(added, kept, 1)
+        return out
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """Rigid-body torques along the filtered motion and their sensitivities (small changes are multiplied by
+    these: single precision will do); n actuated joints."""
+
+    tau: np.ndarray  # (n, N)
+    by_q: np.ndarray  # (N, n, n) d tau / d q
+    by_v: np.ndarray  # (N, n, n)
+    mass: np.ndarray  # (N, n, n)
+    regressor: Regressor
+    by_gravity: np.ndarray  # (3, n, N) torque per unit of gravity along each base axis
+    inertial: np.ndarray  # (n, 10) nominal parameters of those bodies, known payloads left out
+    gravity: np.ndarray  # (3,)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Angles (n, N) of links and motors; `missing` lists those that no sensor gives, as (channel, joint)."""
+
+    robot: Robot
+    readings: Readings
+    filter: Filter
+    q: np.ndarray
+    theta: np.ndarray
+    missing: tuple[tuple[str, int], ...]
+    rigid: Rigid
+    passive: dict[str, np.ndarray]  # angles (N,) of joints without actuator
+
+
+def reconstruct(robot: Robot, readings: Readings, recording: Recording) -> Motion:
+    """The motion; an angle without a sensor comes from the nominal model, as the point about which the
+    balances are linear. It carries no information of its own (whitening.py).
+
+    Raises RecordingError for a floating base, a passive joint that was not measured, or a joint without
+    any position.
+    """
+    if robot.floating:
+        raise RecordingError(
+            f"{robot.name} has a floating base; a diagnosis needs a fixed one: set base: fixed"
+        )
+    window = make_filter(readings.time.size, readings.period, readings.sigma)
+    q, theta, missing = _angles(robot, readings, recording)
+    passive = _passive(robot, readings, recording)
+    if missing:
+        _complete(robot, readings, window, q, theta, missing, passive)
+    rigid = along(robot, window, q, passive)
+    return Motion(robot, readings, window, q, theta, tuple(missing), rigid, passive)
+
+
+def _angles(
+    robot: Robot, readings: Readings, recording: Recording
+) -> tuple[np.ndarray, np.ndarray, list[tuple[str, int]]]:
+    q, theta = readings.q.copy(), readings.theta.copy()
+    missing: list[tuple[str, int]] = []
+    for i, joint in enumerate(robot.joints):
+        has_q, has_theta = bool(np.isfinite(q[i, 0])), bool(np.isfinite(theta[i, 0]))
+        if not has_q and not has_theta:
+            raise RecordingError(
+                f"{recording.name}: joint {joint.name} has neither q nor theta; measure one or lock it in the"
+                " robot YAML"
+            )
+        if joint.rigid:
+            theta[i] = theta[i] if has_theta else q[i]
+            q[i] = theta[i]
+        elif not has_theta:
+            missing.append(("theta", i))
+            theta[i] = q[i]
+        elif not has_q:
+            missing.append(("q", i))
+            q[i] = theta[i]
+    return q, theta, missing
+
+
+def _passive(robot: Robot, readings: Readings, recording: Recording) -> dict[str, np.ndarray]:
+    """Joints that swing freely must be measured: their motion loads the others."""
+    out = {}
+    for name in list(robot.model.names)[1:]:
+        if name in robot.joint_names:
+            continue
+        if not recording.has("q", name):
+            raise RecordingError(
+                f"{recording.name}: joint {name} is passive and not measured; add q.{name} or list it"
+                " under lock or joints in the robot YAML"
+            )
+        values = recording.get("q", name)
+        present = np.isfinite(values)
+        out[name] = np.interp(readings.time, recording.time[present], values[present])
+    return out
+
+
+def _complete(
+    robot: Robot,
+    readings: Readings,
+    window: Filter,
+    q: np.ndarray,
+    theta: np.ndarray,
+    missing: Sequence[tuple[str, int]],
+    passive: dict[str, np.ndarray],
+) -> None:
+    """Fill in phi of joints with one encoder, in place: from tau_t where measured, (D s + K) phi = tau_t;
+    without a motor encoder from the link, (D s + K) phi = RNEA(q); without a link encoder from the link's
+    dynamics driven by the motor."""
+    s = 1j * window.omega
+    direct = [(c, i) for c, i in missing if np.isfinite(readings.tau_t[i, 0])]
+    driven = [i for c, i in missing if c == "q" and (c, i) not in direct]
+    from_link = [i for c, i in missing if c == "theta" and (c, i) not in direct]
+    for channel, i in direct:
+        drive = robot.joints[i].drive
+        phi = _back(window, window.spectrum(readings.tau_t[i]) * window.gain / (drive.K + drive.D * s))
+        if channel == "q":
+            q[i] = theta[i] - phi
+        else:
+            theta[i] = q[i] + phi
+    if driven:
+        _driven_links(robot, window, q, theta, driven, passive)
+    if from_link:
+        tau = along(robot, window, q, passive).tau
+        for i in from_link:
+            drive = robot.joints[i].drive
+            theta[i] = q[i] + _back(window, window.spectrum(tau[i]) / (drive.K + drive.D * s))
+
+
+def _driven_links(
+    robot: Robot,
+    window: Filter,
+    q: np.ndarray,
+    theta: np.ndarray,
+    joints: list[int],
+    passive: dict[str, np.ndarray],
+) -> None:
+    """Links without encoder, driven by their measured motors through the nominal spring, in place: linearly
+    implicit midpoint steps on M q'' + nle = K (theta - q) + D (theta' - q'), the other links as measured."""
+    body = PinBody(robot.model)
+    drives = [robot.joints[i].drive for i in joints]
+    stiff, damp = np.array([d.K for d in drives]), np.array([d.D for d in drives])
+    at, v, a = whole_motion(robot, window, q, passive, 0.25)
+    h = window.period / DRIVEN_SUBSTEPS
+    motor = np.stack([window.smooth_share(theta[joints], 0.25, order) for order in (0, 1)])
+    columns_q = [robot.joints[i].idx_q for i in joints]
+    columns_v = [robot.joints[i].idx_v for i in joints]
+    pick = np.ix_(columns_v, columns_v)
+    place, speed = theta[joints, 0].copy(), np.zeros(len(joints))
+    for _ in range(5):  # start from where the spring carries the load at rest
+        at[0, columns_q] = place
+        place = theta[joints, 0] - body.gravity_torque(at[0])[columns_v] / stiff
+    give = 0.5 * h * stiff + damp
+    for k in range(window.count):
+        q[joints, k] = place
+        before, after = motor[:, :, k], motor[:, :, min(k + 1, window.count - 1)]
+        for sub in range(DRIVEN_SUBSTEPS):
+            middle = before + (after - before) * (sub + 0.5) / DRIVEN_SUBSTEPS
+            at[k, columns_q], v[k, columns_v], a[k, columns_v] = place + 0.5 * h * speed, speed, 0.0
+            bias = body.rnea(at[k], v[k], a[k])[columns_v]
+            mass = body.mass_matrix(at[k])[pick]
+            pull = stiff * (middle[0] - place) + damp * middle[1] - give * speed - bias
+            turn = np.linalg.solve(mass + np.diag(0.5 * h * give), pull)
+            place, speed = place + h * (speed + 0.5 * h * turn), speed + h * turn
+
+
+def whole_motion(
+    robot: Robot, window: Filter, q: np.ndarray, passive: dict[str, np.ndarray], share: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """q (N, nq), v and a (N, nv) of the whole model, filtered with a share of the window's variance."""
+    model, count = robot.model, window.count
+    start = PinBody(model).neutral
+    signals = (np.tile(start, (count, 1)), np.zeros((count, model.nv)), np.zeros((count, model.nv)))
+    for order, signal in enumerate(signals):
+        for i, joint in enumerate(robot.joints):
+            signal[:, joint.idx_q if order == 0 else joint.idx_v] = window.smooth_share(q[i], share, order)
+        for name, x in passive.items():
+            pin_joint = model.joints[model.getJointId(name)]
+            column = pin_joint.idx_q if order == 0 else pin_joint.idx_v
+            signal[:, column] = window.smooth_share(x, share, order)
+    return signals
+
+
+def along(
+    robot: Robot,
+    window: Filter,
+    q: np.ndarray,
+    passive: dict[str, np.ndarray],
+) -> Rigid:
+    """Rigid-body torques and sensitivities along link angles q (n, N)."""
+    model, count = robot.model, window.count
+    body = PinBody(model)
+    rows = [joint.idx_v for joint in robot.joints]
+
+    # RNEA(F q) differs from F RNEA(q) by a term in the window's variance. With shares 1/4 and 1/2 of the
+    # variance before RNEA and the rest after it, that term cancels in 2 R(1/4) - R(1/2) (Richardson);
+    # noise, to which RNEA is nearly linear, passes both alike.
+    quarter, half = (
+        window.smooth_share(
+            body.rnea_batch(*whole_motion(robot, window, q, passive, share))[:, rows].T, 1.0 - share
+        )
+        for share in (0.25, 0.5)
+    )
+    at, v, a = whole_motion(robot, window, q, passive, 1.0)
+    by_q, by_v, mass = body.rnea_derivatives_batch(at, v, a)
+    pick = np.ix_(np.arange(count), np.array(rows), np.array(rows))
+    still = np.zeros_like(v)
+    by_gravity = np.stack(
+        [PinBody(model, gravity=axis).rnea_batch(at, still, still)[:, rows].T for axis in np.eye(3)]
+    )
+    own = body.inertial if robot.own_inertial is None else robot.own_inertial
+    inertial = own[[joint.pin_id - 1 for joint in robot.joints]]
+    return Rigid(
+        2.0 * quarter - half,
+        by_q[pick].astype(np.float32),
+        by_v[pick].astype(np.float32),
+        mass[pick],
+        Regressor(robot, at, v, a),
+        by_gravity,
+        inertial,
+        robot.gravity,
+    )
+
+
+def mass_along(motion: Motion, inertial: np.ndarray, every: int) -> np.ndarray:
+    """(N / every, n, n) mass matrices along the filtered motion, of every so many samples, with other
+    inertial parameters (bodies, 10)."""
+    robot = motion.robot
+    at, _, _ = whole_motion(robot, motion.filter, motion.q, motion.passive, 1.0)
+    body = PinBody(robot.model, inertial=inertial)
+    pick = np.ix_(*2 * [[joint.idx_v for joint in robot.joints]])
+    return np.array([body.mass_matrix(row)[pick] for row in at[::every]])
+
+
+def _back(window: Filter, spectrum: np.ndarray) -> np.ndarray:
+    return fft.irfft(spectrum, window.size, axis=-1)[..., : window.count]

@@ -1,0 +1,62 @@
+"""Internal states of effects along a recording."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from flexjoint.effects import Planned, Signals
+
+SMALL = 1e-4  # decay over a step below which a series is taken: quotients of small numbers lose their digits
+MOST = 300.0  # decay over a step that leaves nothing, short of underflow
+
+
+def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.ndarray:
+    """(N,) an effect's state on signals (N,) sampled every `period` seconds, usable from sample `begin` on.
+
+    Rates are affine in the state, so that each step is exact for a drive that changes linearly over it, with
+    the mean decay of both its ends. Until the effect sets in its state rests, but for one that follows."""
+    one, held = np.ones_like(signals.t), {}
+    for name in ("dq", "dtheta", "dphi"):
+        # before it the filter sees the record's edge, and a state would keep what that does
+        held[name] = getattr(signals, name) * one
+        held[name][:begin] = held[name][begin]
+    signals, p = replace(signals, **held), e.p
+    offset = e.effect.rate(signals, p, 0.0 * one) * one
+    decay = offset - e.effect.rate(signals, p, one)
+    first = Signals(**{f.name: float(np.ravel(getattr(signals, f.name))[0]) for f in fields(Signals)})
+    x = np.maximum(_mean_of_ends(decay) * period, 0.0)
+    keep, divisor = np.exp(-np.minimum(x, MOST)), np.maximum(x, SMALL)
+    mean = np.where(x < SMALL, 1.0 - 0.5 * x, (1.0 - keep) / divisor)  # of exp(-x) over the step
+    late = np.where(x < SMALL, 0.5 - x / 6.0, (1.0 - mean) / divisor)  # share of the drive at the step's end
+    add = period * ((mean - late) * offset + late * np.append(offset[1:], offset[-1:]))
+    if e.since is not None and not e.effect.overrides("steady_state"):
+        asleep = signals.t < e.since
+        keep, add = np.where(asleep, 1.0, keep), np.where(asleep, 0.0, add)
+    return stepped(float(e.effect.steady_state(first, p)), keep, add)
+
+
+def stepped(first: float, keep: np.ndarray, add: np.ndarray) -> np.ndarray:
+    """(N,) z[k] of z[k + 1] = keep[k] z[k] + add[k] from z[0] = `first`, where keep (N,) is 0 to 1.
+
+    A search takes many: blocks are stepped side by side, each from 0 and with what it keeps of its begin."""
+    length = int(np.ceil(np.sqrt(keep.size)))
+    beyond = -keep.size % length
+    keeps = np.append(keep, np.ones(beyond)).reshape(-1, length).T
+    adds = np.append(add, np.zeros(beyond)).reshape(-1, length).T
+    kept, moved = np.empty((length + 1, keeps.shape[1])), np.empty((length + 1, keeps.shape[1]))
+    kept[0], moved[0] = 1.0, 0.0
+    for row in range(length):
+        kept[row + 1] = keeps[row] * kept[row]
+        moved[row + 1] = keeps[row] * moved[row] + adds[row]
+    z, begins = first, []
+    for k, a in zip(kept[-1].tolist(), moved[-1].tolist(), strict=True):
+        begins.append(z)
+        z = k * z + a
+    return np.asarray((kept[:-1] * np.array(begins) + moved[:-1]).T.ravel()[: keep.size])
+
+
+def _mean_of_ends(x: np.ndarray) -> np.ndarray:
+    """(N,) mean of each sample and its next, from (N,)."""
+    return np.append(0.5 * (x[:-1] + x[1:]), x[-1:])

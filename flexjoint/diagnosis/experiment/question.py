@@ -1,0 +1,176 @@
+"""What the next recording has to decide: read from a diagnosis, or everything when there is none."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flexjoint.core.errors import FlexJointError, unknown
+from flexjoint.diagnosis.experiment.evidence import Key, Sensors
+from flexjoint.diagnosis.result import Diagnosis, to_json
+from flexjoint.effects import Planned, catalogue
+from flexjoint.recording.table import MEASURED
+from flexjoint.robot.robot import Robot
+
+ENCODER_NOISE = 2e-5  # rad
+SPEED_NOISE = 5e-3  # rad/s
+TORQUE_NOISE = 1e-3  # of the joint's torque limit
+UNLIMITED_TORQUE = 100.0  # N m, where a joint has no limit to take a share of
+
+
+@dataclass(frozen=True)
+class Tie:
+    """A cause as found, and another that explains the same: which one is it?"""
+
+    truth: tuple[Planned, ...]  # one effect, on every joint that shares it
+    rival: tuple[Key, ...]
+    beside: tuple[Planned, ...]  # the other findings, which both share
+
+    @property
+    def names(self) -> tuple[str, str]:
+        return named([e.key for e in self.truth]), named(self.rival)
+
+
+@dataclass(frozen=True)
+class Question:
+    """Ties to break, or (none) the whole catalogue to be excited on top of `found`; and the sensors."""
+
+    ties: tuple[Tie, ...]
+    found: tuple[Planned, ...]
+    sensors: Sensors
+
+
+def named(keys: Sequence[Key]) -> str:
+    """`torque_gain on elbow`, `torque_delay on all joints`."""
+    effect, joint = keys[0]
+    place = "all joints" if len(keys) > 1 else joint
+    return f"{effect} on {place}" if place else effect
+
+
+def without_diagnosis(robot: Robot) -> Question:
+    """Excite everything, with all sensors at the noise that is usual (docs/planning_experiments.md)."""
+    return Question((), (), Sensors({(c, j): usual_noise(robot, c, j) for c, j in _every_sensor(robot)}))
+
+
+def question_of(given: Question | Diagnosis | str | os.PathLike[str] | None, robot: Robot) -> Question:
+    """What was handed in as a question; see `read`. Raises FlexJointError where it is none."""
+    if given is None:
+        return without_diagnosis(robot)
+    if isinstance(given, Question):
+        return given
+    if isinstance(given, Diagnosis):
+        return _question(to_json(given), robot)
+    if isinstance(given, str | os.PathLike):
+        return read(Path(given), robot)
+    raise FlexJointError(
+        f"plan: expected a diagnosis, or the path of one as JSON, got a {type(given).__name__}; diagnose a"
+        " recording first, or leave it out to excite the whole catalogue"
+    )
+
+
+def read(path: Path, robot: Robot) -> Question:
+    """The question of a diagnosis (schema 1).
+
+    Raises FlexJointError: not such a file, or one of another robot or another version of the catalogue.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FlexJointError(f"diagnosis {path} cannot be read: {error.strerror or error}") from None
+    except (UnicodeDecodeError, ValueError) as error:
+        raise FlexJointError(
+            f"{path} is no JSON: {error}; give what `flexjoint diagnose --json` wrote"
+        ) from None
+    if not isinstance(content, dict) or content.get("schema") != 1 or "findings" not in content:
+        raise FlexJointError(
+            f"{path} is no diagnosis of schema 1; give what `flexjoint diagnose --json` wrote"
+        )
+    try:
+        return _question(content, robot)
+    except FlexJointError as error:
+        raise FlexJointError(f"{path}: {error}") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise FlexJointError(f"{path} is not as docs/formats.md has it ({error!r}); diagnose anew") from None
+
+
+def _question(content: Mapping[str, Any], robot: Robot) -> Question:
+    if content.get("verdict") == "refused":
+        return without_diagnosis(robot)
+    findings = [(entry, _planned(robot, entry)) for entry in content["findings"]]
+    ties = []
+    for entry, truth in findings:
+        beside = tuple(e for other, planned in findings if other is not entry for e in planned)
+        taken = {e.key for e in beside}
+        for tie in entry["indistinguishable"]:
+            rival = _keys(robot, tie["effect"], tie["joint"])
+            if not taken & set(rival):
+                ties.append(Tie(truth, rival, beside))
+    found = tuple(e for _, planned in findings for e in planned)
+    return Question(tuple(ties), found, _sensors(content, robot))
+
+
+def _planned(robot: Robot, entry: Mapping[str, Any]) -> tuple[Planned, ...]:
+    """A finding as effects: on every joint where the finding is one of the robot."""
+    values: dict[str, Any] = {
+        name: given if isinstance(given, str) else given["value"]
+        for name, given in entry["parameters"].items()
+    }
+    out = []
+    for effect, joint in _keys(robot, entry["effect"], entry["joint"]):
+        listed = next((e for e in robot.effects if e.key == (effect, joint)), None)
+        total = dict(values)
+        if listed is not None:  # parameters give the change
+            numbers = [p.name for p in listed.effect.params if p.size == 1 and p.name in values]
+            total.update({name: values[name] + float(listed.values[name]) for name in numbers})
+        out.append(
+            Planned.of(effect, joint, {k: tuple(v) if isinstance(v, list) else v for k, v in total.items()})
+        )
+    return tuple(out)
+
+
+def _keys(robot: Robot, effect: str, joint: str | None) -> tuple[Key, ...]:
+    if effect not in catalogue():
+        raise unknown("effect", effect, catalogue())
+    if joint is not None and joint not in robot.joint_names:
+        raise unknown("joint", joint, robot.joint_names)
+    if joint is None and not catalogue()[effect].whole_robot:
+        return tuple((effect, name) for name in robot.joint_names)
+    return ((effect, joint),)
+
+
+def _sensors(content: Mapping[str, Any], robot: Robot) -> Sensors:
+    """What was recorded and how well, as the comparison of the diagnosis tells; else everything."""
+    floor = ((content.get("comparison") or {}).get("noise_floor") or {}).get("rms") or {}
+    noise = {}
+    for name, value in floor.items():
+        channel, _, joint = name.partition(".")
+        if channel in MEASURED and joint in robot.joint_names:
+            known = value is not None and float(value) > 0.0
+            noise[channel, joint] = float(value) if known else usual_noise(robot, channel, joint)
+    return Sensors(noise) if noise else without_diagnosis(robot).sensors
+
+
+def _every_sensor(robot: Robot) -> list[tuple[str, str]]:
+    channels = {
+        j.name: [c for c in MEASURED if not (j.rigid and c in ("theta", "dtheta", "tau_t"))]
+        for j in robot.joints
+    }
+    return [(channel, name) for name, own in channels.items() for channel in own]
+
+
+def usual_noise(robot: Robot, channel: str, joint: str) -> float:
+    """Standard deviation of a sensor of which nothing is known: usual values, or its resolution."""
+    own = robot.joint(joint)
+    limit = own.torque_limit if own.torque_limit < 1e9 else UNLIMITED_TORQUE
+    usual = {
+        "q": ENCODER_NOISE,
+        "theta": ENCODER_NOISE,
+        "dq": SPEED_NOISE,
+        "dtheta": SPEED_NOISE,
+        "tau_t": TORQUE_NOISE * limit,
+    }[channel]
+    return max(usual, (own.resolution or {}).get(channel, 0.0) / 12.0**0.5)

@@ -1,0 +1,360 @@
+"""Diagnosis: what a simulation gets wrong, and why.
+
+recording -> readings -> motion -> balances -> whitening -> selection -> verdict
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from flexjoint.core.errors import RecordingError, unknown
+from flexjoint.core.worker_pool import workers_of
+from flexjoint.diagnosis.balances.balances import Balances, TwinBalances, balances_of
+from flexjoint.diagnosis.regression.uncertainty import Errors
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.result import Diagnosis, Finding, Remaining, Step, Unexplained
+from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
+from flexjoint.diagnosis.search.history import steps_between
+from flexjoint.diagnosis.search.robust_search import search_robustly
+from flexjoint.diagnosis.search.selection import Key, Selection, select
+from flexjoint.diagnosis.search.together import combine
+from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
+from flexjoint.diagnosis.signals.excerpt import excerpts
+from flexjoint.diagnosis.verdict import checks, held_out, verdict
+from flexjoint.diagnosis.verdict.cases import Case, SimulatedCase, StatedCase
+from flexjoint.diagnosis.verdict.experiment import advice
+from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
+from flexjoint.diagnosis.verdict.review import notes, reviewed
+from flexjoint.diagnosis.verdict.unseen import remaining, unfinished
+from flexjoint.effects import catalogue
+from flexjoint.recording.table import Recording, expect_several
+from flexjoint.robot.payload import KnownPayload
+from flexjoint.robot.robot import Robot, expect
+
+SEARCHED = 0.92  # share of the progress that the searches are
+
+Progress = Callable[[float, str], None]
+
+
+def diagnose(
+    robot: Robot,
+    recordings: Recording | Sequence[Recording],
+    *,
+    progress: Progress | None = None,
+    excluded: frozenset[str] = frozenset(),
+    payloads: Sequence[KnownPayload | None] = (),
+    refine: bool = True,
+    workers: int | None = None,
+    settings: Settings = USUAL,
+) -> Diagnosis:
+    """Name what the nominal model gets wrong on the recordings; measure the gain on held-out blocks of the
+    first, whose residuals and onsets are the ones reported.
+
+    Args:
+        robot: the nominal model with its tolerances.
+        recordings: one or several; several are explained together, by one set of causes and numbers.
+        progress: called with a share in [0, 1] and what is being done.
+        excluded: names of effects that are left out of the catalogue.
+        payloads: what was added to the robot in each recording and is known (None: nothing); empty: nothing
+            in any. It is part of that recording's nominal model; the causes are common to all.
+        refine: whether the numbers of the causes are refined on the simulation itself (one recording).
+        workers: processes that share the search, FLEXJOINT_WORKERS or one per core by default; the bits are
+            the same for any number.
+        settings: the numbers that decide (docs/settings.md).
+
+    Raises:
+        ModelError: fewer than one worker.
+        RecordingError: the recording cannot be used with this robot, or not one payload for each.
+        UnknownNameError: an excluded name is no effect, or a payload's joint is none of the robot's.
+    """
+    task = _Task(excluded, workers_of(workers), settings, progress or (lambda _share, _what: None))
+    robots, recordings, cut = _checked(robot, recordings, excluded, payloads)
+    task.report(0.0, "preparing the balances")
+    refusal, balances = _balanced(robots[0], recordings[0], settings)
+    if refusal:
+        return Diagnosis("refused", refusal, notes=cut, robot=robots[0].name, prismatic=robots[0].prismatic)
+    workspace = Workspace(balances)
+    candidates = enumerate_candidates(workspace, excluded)
+    first = _searched(workspace, candidates, task.part(0, len(recordings)))
+    case, spread, common = _combined(first, robots, recordings, task)
+    task.report(0.92, "measuring the gain on held-out data")
+    case = reviewed(_simulated(case, robots[0], recordings[0], workspace), checks.SIMULATION)
+    case, robust = _searched_robustly(case, candidates, len(recordings), task)
+    stated = reviewed(_stated(case, spread, refine, len(recordings), task), checks.FINDINGS)
+    known = _known(recordings, payloads)
+    checked = [notes(stated.trace[a:b]) for a, b in pairwise((0, len(first.trace), len(case.trace), None))]
+    said = (*checked[0], *common, *cut, *known, *checked[1], *robust, *checked[2])
+    return _diagnosis(stated, candidates, said, task)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is asked of every recording."""
+
+    excluded: frozenset[str]
+    workers: int
+    settings: Settings
+    report: Progress
+
+    def part(self, k: int, count: int) -> _Task:
+        """The search of one of so many recordings, with its share of the progress."""
+        share = SEARCHED / count
+        return replace(self, report=_part(self.report, k * share, share))
+
+
+def _checked(
+    robot: Robot,
+    recordings: Recording | Sequence[Recording],
+    excluded: frozenset[str],
+    payloads: Sequence[KnownPayload | None],
+) -> tuple[list[Robot], list[Recording], tuple[str, ...]]:
+    """The nominal robot of each recording, what is looked at of each, and notes on what is not."""
+    robot, recordings = expect(robot, "diagnose"), expect_several(recordings, "diagnose")
+    _check_names(excluded)
+    robots = _loaded(robot, recordings, payloads)
+    kept, cut = excerpts(robot, recordings)
+    return robots, kept, cut
+
+
+def _balanced(robot: Robot, recording: Recording, settings: Settings) -> tuple[str, TwinBalances]:
+    """The balances of a recording, and why they cannot carry a verdict; empty when they can."""
+    balances = balances_of(robot, recording, settings)
+    return _refusal(balances), balances
+
+
+def _searched(workspace: Workspace, candidates: Sequence[Candidate], task: _Task) -> Case:
+    """The set of causes that explains a recording by itself, as far as its balances support it."""
+    selection = select(workspace, candidates, task.report, workers=task.workers)
+    case = Case(selection, selection.trace)
+    return reviewed(reviewed(case, checks.BALANCES), checks.NAMES)
+
+
+def _combined(
+    first: Case, robots: Sequence[Robot], recordings: Sequence[Recording], task: _Task
+) -> tuple[Case, Mapping[Key, Errors], tuple[str, ...]]:
+    """The set that explains all recordings, standard errors from all of them, and notes."""
+    if len(recordings) == 1:
+        return first, {}, ()
+    selections = [first.selection]
+    for k, recording in enumerate(recordings[1:], start=1):
+        refusal, balances = _balanced(robots[k], recording, task.settings)
+        if refusal:
+            raise RecordingError(f"{recording.name} cannot be diagnosed together with the others: {refusal}")
+        workspace = Workspace(balances)
+        candidates = enumerate_candidates(workspace, task.excluded)
+        selections.append(_searched(workspace, candidates, task.part(k, len(recordings))).selection)
+    together = combine(selections)
+    steps = steps_between(
+        first.selection.best, together.selection.best, "recordings", "common set", "for all recordings"
+    )
+    return Case(together.selection, (*first.trace, *steps)), together.errors, together.notes
+
+
+def _simulated(case: Case, robot: Robot, recording: Recording, workspace: Workspace) -> SimulatedCase:
+    measured = held_out.comparison(robot, recording, workspace, case.selection.best)
+    return SimulatedCase(case.selection, case.trace, robot, recording, workspace, measured)
+
+
+def _searched_robustly(
+    case: SimulatedCase, candidates: Sequence[Candidate], count: int, task: _Task
+) -> tuple[SimulatedCase, tuple[str, ...]]:
+    """The case with causes that the simulation confirms, where only implausible nominal numbers would explain
+    an error of the only recording, and notes."""
+    if count > 1 or case.measured is None or not _doubtful(case.selection):
+        return case, ()
+    report = _part(task.report, SEARCHED, 0.02)
+    again = search_robustly(case.robot, case.recording, case.workspace, case.selection, candidates, report)
+    if again is None:
+        return case, ()
+    why = "the simulation of the joint needs it"
+    steps = steps_between(
+        case.selection.best, again.selection.best, "robust search", "simulation of the joint", why
+    )
+    measured = held_out.comparison(
+        case.robot, case.recording, again.workspace, again.selection.best, case.measured
+    )
+    found = replace(
+        case,
+        workspace=again.workspace,
+        selection=again.selection,
+        measured=measured,
+        trace=(*case.trace, *steps),
+    )
+    return found, again.notes
+
+
+def _stated(
+    case: SimulatedCase, spread: Mapping[Key, Errors], refine: bool, count: int, task: _Task
+) -> StatedCase:
+    kept = "several recordings share their numbers" if count > 1 else ""
+    return StatedCase(
+        case.selection,
+        case.trace,
+        case.robot,
+        case.recording,
+        case.workspace,
+        case.measured,
+        kept=kept if refine else "no refinement was asked for",
+        workers=task.workers,
+        spread=spread,
+        report=task.report,
+    )
+
+
+def _diagnosis(
+    case: StatedCase,
+    candidates: Sequence[Candidate],
+    said: tuple[str, ...],
+    task: _Task,
+) -> Diagnosis:
+    """What a reviewed case says."""
+    selection, best = case.selection, case.selection.best
+    named, estimation = case.estimated
+    found = verdict.merged(named, candidates, task.settings.verdict)
+    limits, joints = task.settings.verdict, remaining(case.unseen)
+    kind, reason = _verdict(found, case.left, case.explained, unfinished(joints, limits), limits)
+    blind = verdict.not_excited(selection, candidates)
+    task.report(1.0, "done")
+    return Diagnosis(
+        verdict=kind,  # type: ignore[arg-type]
+        reason=reason,
+        findings=found,
+        unexplained=case.left,
+        remaining=joints,
+        not_excited=blind,
+        within_tolerance=verdict.within_tolerance(best),
+        comparison=case.measured,
+        next_experiment=advice(case.robot, case.recording, found, case.left, blind),
+        ranking=verdict.ranking(selection),
+        residuals=case.residuals,
+        explained=case.explained,
+        notes=(*said, *case.notes, *verdict.not_believed(best)),
+        energy=(
+            float(np.mean(selection.nothing.workspace.temper)),
+            float(np.mean(best.workspace.temper)),
+        ),
+        estimation=estimation,
+        trace=(*case.trace, *_kept(found)),
+        robot=case.robot.name,
+        prismatic=case.robot.prismatic,
+        rigid=all(joint.rigid for joint in case.robot.joints),
+    )
+
+
+def _kept(found: Sequence[Finding]) -> tuple[Step, ...]:
+    """The last steps: joints' findings that are one of the robot's, and those that are reported."""
+    out = []
+    for f in found:
+        for member in f.members:
+            text = f"{member} is one cause of the robot, which all its joints with the sensor share"
+            out.append(
+                Step(
+                    "verdict",
+                    "merged",
+                    f.effect,
+                    member.joint,
+                    (f.effect, None),
+                    "shared",
+                    f.probability,
+                    text,
+                )
+            )
+        text = f"{f.planned if f.joint else f.effect} is reported with probability {f.probability:.2f}"
+        out.append(Step("verdict", "kept", f.effect, f.joint, None, "verdict", f.probability, text))
+    return tuple(out)
+
+
+def _check_names(excluded: frozenset[str]) -> None:
+    for name in excluded:
+        if name not in catalogue():
+            raise unknown("effect", name, catalogue())
+
+
+def _loaded(
+    robot: Robot, recordings: Sequence[Recording], payloads: Sequence[KnownPayload | None]
+) -> list[Robot]:
+    """The nominal robot of each recording."""
+    if payloads and len(payloads) != len(recordings):
+        raise RecordingError(
+            f"expected a known payload, or None, for each of {len(recordings)} recordings,"
+            f" got {len(payloads)}"
+        )
+    return [robot if load is None else load.on(robot) for load in payloads or [None] * len(recordings)]
+
+
+def _known(recordings: Sequence[Recording], payloads: Sequence[KnownPayload | None]) -> tuple[str, ...]:
+    return tuple(
+        f"{recording.name} was recorded with a known payload of {payload}"
+        for recording, payload in zip(recordings, payloads, strict=False)
+        if payload is not None
+    )
+
+
+def _doubtful(selection: Selection) -> bool:
+    """Whether an error is left and only implausible nominal numbers would explain it."""
+    best = selection.best
+    if best.workspace.strain <= best.settings.robust_search.begins:
+        return False
+    residuals = residual_views(best, selection.nothing)
+    left = unexplained_balances(best, residuals)
+    enough = best.settings.verdict.explained
+    return bool(left) and (not best.effects or explained_share(best, residuals) < enough)
+
+
+def _part(report: Progress, begin: float, share: float) -> Progress:
+    """Progress of a part of the work."""
+    return lambda done, what: report(begin + share * done, what)
+
+
+def _refusal(balances: Balances) -> str:
+    """Why the data cannot carry a verdict; empty when they can."""
+    limits = balances.settings.balances
+    motion = balances.motion
+    used = motion.readings.valid
+    seconds = float(np.sum(used)) * motion.readings.period
+    if seconds < limits.shortest:
+        return (
+            f"only {seconds:.2g} s of usable data beside gaps and edges;"
+            f" record at least {limits.shortest:g} s"
+        )
+    if not balances.rows:
+        return (
+            "no torque balance can be closed: neither motor torques nor both encoders of a joint are recorded"
+        )
+    travel = np.ptp(motion.theta[:, used], axis=1)
+    noise = np.maximum(motion.readings.noise["theta"], motion.readings.noise["q"])
+    if np.all(travel < limits.still * np.maximum(noise, 1e-9)):
+        return "the robot hardly moves in this recording; record a motion that uses its speed and load"
+    return ""
+
+
+def _verdict(
+    found: Sequence[Finding],
+    left: Sequence[Unexplained],
+    explained: float,
+    joints: Sequence[Remaining],
+    settings: VerdictSettings,
+) -> tuple[str, str]:
+    there = any(f.probability >= settings.likely for f in found)
+    share = f"the causes named explain {100.0 * explained:.0f} % of the error above sensor noise"
+    if there and not joints:
+        return "causes", share if explained >= settings.explained else f"{share}; the rest has no clear shape"
+    if found and joints:
+        worst = max(joints, key=lambda joint: joint.after / joint.torque)
+        return (
+            "unexplained",
+            f"the causes named leave {worst.after:.3g} N m at {worst.joint},"
+            f" {100.0 * worst.after / worst.torque:.0f} % of its torque; it depends most on {worst.against}",
+        )
+    if found:
+        return "unexplained", f"{share}, but what they leave has a shape: another cause may stand behind them"
+    if left or joints:
+        return (
+            "unexplained",
+            "the error is beyond noise and tolerances, but no effect in the catalogue explains it",
+        )
+    return "healthy", "nothing beats the sensors' noise and the model's own tolerances"

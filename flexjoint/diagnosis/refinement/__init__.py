@@ -1,0 +1,1 @@
+"""The numbers of the causes, refined on the simulation."""

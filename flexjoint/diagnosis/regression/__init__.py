@@ -1,0 +1,1 @@
+"""How well a set of effects explains the balances, tolerances taken out."""

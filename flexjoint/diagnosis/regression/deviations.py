@@ -1,0 +1,133 @@
+"""Nominal numbers beyond first order: where their deviations are, and what a set of effects is worth there.
+
+To first order every deviation has one trace in the residual (workspace.py). Two deviations also have a
+product, as a spring's with its encoders' offsets, or with a gap beside it, and an inertia changes what noise
+makes of a balance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flexjoint.diagnosis.balances.balances import MOTOR
+from flexjoint.diagnosis.regression import whitening
+from flexjoint.diagnosis.regression.nuisance import as_effects
+from flexjoint.diagnosis.regression.workspace import REMEMBERED, Workspace
+from flexjoint.effects import Planned, Site
+
+SETTLING = 12  # Gauss-Newton steps of the nominal numbers at most, until what they explain changes by less
+SETTLED = 0.1  # than this energy (beside a stiffness off by a fifth, each step leaves a fifth of an offset)
+
+
+def held(workspace: Workspace, pull: np.ndarray) -> list[Planned]:
+    """Deviations (numbers,) of the nominal numbers, as effects that a model can hold."""
+    other_component = workspace.settings.regression.other_component
+    inertial = workspace.motion.rigid.inertial
+    return as_effects(workspace.nuisance, -pull, inertial, workspace.robot, other_component)
+
+
+def settled(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
+    """(numbers,) deviations that explain most of the residual y of some effects, their products included."""
+    return workspace.deviations(relinearised(workspace, effects, y))
+
+
+def relinearised(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
+    """(samples,) the residual y of some effects as it would be if it were linear in the nominal numbers, with
+    the values that it has where these explain most of it: their products included, and when a friction holds
+    and lets go."""
+    pull = workspace.deviations(y)
+    for _ in range(SETTLING):
+        there = workspace.residual([*effects, *held(workspace, pull)])
+        last, y = pull, there + workspace.along(np.where(_as_effects(workspace), pull, 0.0))
+        pull = workspace.deviations(y)
+        moved = workspace.along(pull - last) * workspace.weights
+        if float(moved @ moved) < SETTLED:
+            break
+    return y
+
+
+def judged_energy(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
+    """Q(y, y), evaluated in full (noise and all) and whitened for the noise of the model that it implies,
+    where that is another than the nominal one's; what is left beyond noise, in units of the command."""
+    return _evaluated(workspace, y, effects) + _shrunk(workspace, y, effects)
+
+
+def _shrunk(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
+    """Energy by which effects of the command shrink what is left beyond noise in the motors' balances: with
+    less torque, less inertia and less friction an equation is as wrong as before, in smaller numbers. A gain
+    of zero would leave nothing of it (the trivial solution of a homogeneous regression)."""
+    sizes = _command_sizes(workspace, effects)
+    if not sizes:
+        return 0.0
+    rows = len(workspace.balances.rows)
+    left = (workspace.rest(y) * workspace.weights).reshape(rows, -1)
+    noise = workspace.freedom / rows
+    total = 0.0
+    for row, size in sizes.items():
+        beyond = max(0.0, float(left[row] @ left[row]) - noise / float(workspace.temper[row]))
+        total += beyond * (1.0 / size**2 - 1.0)
+    return total
+
+
+def _command_sizes(workspace: Workspace, effects: Sequence[Planned]) -> dict[int, float]:
+    """By row, of the motors' balances whose command effects scale: the size of what changes of the torque,
+    in that of the nominal model; at least LEAST_SIZE."""
+    balances, used = workspace.balances, workspace.readings.valid
+    every = workspace.with_nominal(effects)
+    sizes = {}
+    for r, row in enumerate(balances.rows):
+        if row.balance != MOTOR:
+            continue
+        name = workspace.robot.joints[row.joint].name
+        here, nominal = (
+            [e for e in of if e.joint == name and e.effect.site is Site.COMMAND]
+            for of in (every, workspace.nominal)
+        )
+        if [e.identity for e in here] == [e.identity for e in nominal]:
+            continue
+        told, was = (float(np.std(balances.chains.command(row.joint, of)[used])) for of in (here, nominal))
+        if was > 0.0:  # what a balance in recorded torque does not count already
+            chains = balances.chains
+            counted = chains.command_scale(row.joint, here) / chains.command_scale(row.joint, nominal)
+            sizes[r] = max(counted * told / was, workspace.settings.regression.least_command)
+    return sizes
+
+
+def _evaluated(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
+    limits = workspace.settings.regression
+    pull = workspace.deviations(y)
+    far = (
+        np.max(workspace.temper) < limits.noise_decides
+        and np.max(np.abs(pull), initial=0.0) > limits.plausible
+    )
+    if not far and not any(whitening.changes_noise(e) for e in effects):
+        return workspace.energy(y)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            energy = _energy_at(workspace, pull, effects)
+            if np.max(workspace.temper) < limits.noise_decides:
+                energy = min(energy, _energy_at(workspace, settled(workspace, effects, y), effects))
+    except np.linalg.LinAlgError:  # beside a wrong cause numbers may be so far off that no machine has them
+        return workspace.energy(y)
+    if not any(e.effect.overrides("edit_inertial") for e in workspace.nominal):
+        workspace.motion.rigid.regressor.forget(REMEMBERED)  # nobody else asks for it
+    return energy
+
+
+def _energy_at(workspace: Workspace, pull: np.ndarray, effects: Sequence[Planned]) -> float:
+    """Energy of some effects where the nominal numbers are off by these deviations."""
+    there = [*workspace.with_nominal(effects), *held(workspace, pull)]
+    scale = np.array([workspace.torque_scale[r.joint] for r in workspace.balances.rows])
+    there_white = whitening.make(workspace.balances, scale, there, like=workspace.whitening)
+    white = there_white.apply(workspace.balances.residual(there)).ravel()
+    # other nominal numbers (of effects, offsets) change no noise: their part stays linear
+    linear = workspace.along(np.where(_as_effects(workspace), 0.0, pull))
+    residual = (white - linear) * workspace.weights
+    return float(residual @ residual) + float(pull @ pull)
+
+
+def _as_effects(workspace: Workspace) -> np.ndarray:
+    """(numbers,) bool: those of which `held` makes effects."""
+    return np.array([n.held_as_effect for n in workspace.nuisance], dtype=bool)

@@ -1,0 +1,323 @@
+"""Joint fit of all parameters of a set of effects: Levenberg-Marquardt on the whitened residual with the
+nominal model's tolerances marginalised in every step (variable projection)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from flexjoint.diagnosis.balances.balances import acts_within_a_joint
+from flexjoint.diagnosis.regression.deviations import held, judged_energy, relinearised, settled
+from flexjoint.diagnosis.regression.nuisance import entangles
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.settings import RegressionSettings, Settings
+from flexjoint.effects import Parameter, Planned, Site
+
+MOST_DAMPING = 1e8  # of a scaled step, beyond which none is better
+RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
+CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
+NEAR = 0.01  # relative change of its joint's numbers up to which a derivative is kept
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One free number of one effect."""
+
+    effect: int
+    param: Parameter
+    component: int  # of a vector parameter
+
+    def get(self, effects: Sequence[Planned]) -> float:
+        value = effects[self.effect].values[self.param.name]
+        return float(value[self.component]) if self.param.size > 1 else float(value)
+
+    def put(self, effects: list[Planned], number: float) -> None:
+        planned = effects[self.effect]
+        value: Any = float(number)
+        if self.param.size > 1:
+            vector = list(planned.values[self.param.name])
+            vector[self.component] = float(number)
+            value = tuple(vector)
+        effects[self.effect] = planned.with_values({self.param.name: value})
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted set of effects (beyond the nominal model, or replacing its entries)."""
+
+    workspace: Workspace
+    effects: tuple[Planned, ...]
+    judge: Callable[[], float]  # what evaluates `energy`
+    y: np.ndarray  # (samples,) whitened residual
+    tangents: np.ndarray  # (slots, samples) its derivatives
+    slots: tuple[Slot, ...]
+
+    @property
+    def settings(self) -> Settings:
+        return self.workspace.settings
+
+    @cached_property
+    def energy(self) -> float:
+        """Judged at the optimum, plus weak priors. Evaluated when it is first asked for: of a fit that is but
+        a step to another level nobody does."""
+        return self.judge()
+
+    @cached_property
+    def pulled(self) -> float:
+        """Prior deviations by which the furthest nominal number has to be off."""
+        return self.workspace.furthest(self.y)
+
+
+def shifts(result: Fit) -> list[Planned]:
+    """What the nominal numbers' own tolerances take on beside the fitted effects, as effects: where they are
+    at work, as two small deviations also have a product (a spring's with its encoders' offsets)."""
+    return held(result.workspace, settled_numbers(result))
+
+
+def settled_numbers(result: Fit) -> np.ndarray:
+    """(numbers,) the same as deviations, of which `deviations.held` makes those effects."""
+    return settled(result.workspace, result.effects, result.y)
+
+
+def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
+    return tuple(
+        Slot(i, param, component)
+        for i, planned in enumerate(effects)
+        for param in planned.effect.params
+        for component in range(param.size)
+    )
+
+
+def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) -> Fit:
+    """Fit all free numbers, starting from the given values; bounds are kept by clipping."""
+    workspace, slots = workspace.about(effects), slots_of(effects)
+    if not slots:
+        y = workspace.residual(effects)
+        judge = partial(_judged, workspace, y, tuple(effects), slots)
+        return Fit(workspace, tuple(effects), judge, y, np.zeros((0, y.size)), slots)
+    current, y, jacobian = _descend(workspace, list(effects), slots, iterations)
+    if any(entangles(e) for e in effects):  # where a friction rests, how far a spring is turned, by its size
+        workspace = workspace.about(current)
+        bent = _bent(workspace, current, y)
+        current, y, jacobian = _descend(workspace, current, slots, iterations, bent)
+    judge = partial(_judged, workspace, y, tuple(current), slots)
+    return Fit(workspace, tuple(_wrap(current)), judge, y, jacobian, slots)
+
+
+def _bent(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
+    """What the residual y of effects lacks of one that knows when friction holds a body whose load or spring
+    is off by what the nominal numbers' tolerances take on. Implausible numbers tell nothing of that."""
+    if workspace.strain > 1.0 or not any(e.effect.overrides("level") for e in effects):
+        return 0.0
+    return relinearised(workspace, effects, y) - y
+
+
+def evaluated(result: Fit) -> Fit:
+    """The fit with its energy evaluated: by one process, where several would do so or wait for it."""
+    _ = result.energy
+    return result
+
+
+def _judged(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned], slots: Sequence[Slot]) -> float:
+    return judged_energy(workspace, y, effects) + _prior(workspace, slots, effects)
+
+
+def _descend(
+    workspace: Workspace,
+    current: list[Planned],
+    slots: Sequence[Slot],
+    iterations: int,
+    bent: np.ndarray | float = 0.0,
+) -> tuple[list[Planned], np.ndarray, np.ndarray]:
+    """Values at the nearest minimum of the energy, the residual there and its derivatives; `bent` is added to
+    all residuals."""
+    y = workspace.residual(current) + bent
+    energy = workspace.energy(y) + _prior(workspace, slots, current)
+    damping, taken = 1e-3, current  # where each column was taken
+    jacobian = jacobian_of(workspace, current, slots)
+    for _ in range(iterations):
+        normal, slope = normal_equations(workspace, jacobian, y, slots, current)
+        enough, better, tried = CONVERGED + 1e-6 * energy, False, False
+        while not better and damping < MOST_DAMPING:
+            trial, promised = _step(current, slots, normal, slope, damping)
+            # the first one is tried, however little it promises: at a raised level that is what lowers it
+            if tried and promised is not None and promised < enough:
+                break
+            tried = True
+            trial_y = workspace.residual(trial) + bent
+            trial_energy = workspace.energy(trial_y) + _prior(workspace, slots, trial)
+            better = bool(np.isfinite(trial_energy)) and trial_energy < energy
+            if not better:
+                damping *= 10.0
+        if not better:
+            break
+        gained = energy - trial_energy
+        current, y, energy = trial, trial_y, trial_energy
+        damping = max(damping * 0.1, 1e-9)
+        jacobian, taken = _followed(workspace, current, slots, jacobian, taken)
+        if gained < enough:
+            break
+    return current, y, jacobian
+
+
+def _step(
+    current: list[Planned], slots: Sequence[Slot], normal: np.ndarray, slope: np.ndarray, damping: float
+) -> tuple[list[Planned], float | None]:
+    """A damped Gauss-Newton step in scaled numbers, those at a bound held that would leave it, and the energy
+    that it would gain were all linear. None: it was cut short at a bound, and a shorter one may gain more."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size) + damping * np.eye(len(slots))
+    here = np.array([slot.get(current) for slot in slots])
+    low, high = (np.array([getattr(slot.param, side) for slot in slots]) for side in ("low", "high"))
+    step, free = np.zeros(len(slots)), np.ones(len(slots), dtype=bool)
+    while np.any(free):
+        step[:] = 0.0
+        block = np.ix_(free, free)
+        step[free] = -np.linalg.lstsq(scaled[block], (slope / size)[free], rcond=1e-12)[0] / size[free]
+        leaves = free & (((here <= low) & (step < 0.0)) | ((here >= high) & (step > 0.0)))
+        if not np.any(leaves):
+            break
+        free &= ~leaves
+        step[leaves] = 0.0
+    there = np.clip(here + step, low, high)
+    trial = list(current)
+    for slot, number in zip(slots, there, strict=True):
+        slot.put(trial, float(number))
+    cut = bool(np.any(there != here + step))
+    moved = there - here
+    return trial, None if cut else float(-2.0 * slope @ moved - moved @ normal @ moved)
+
+
+def jacobian_of(workspace: Workspace, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:
+    """(slots, samples) derivatives of the residual."""
+    return np.array([_column(workspace, effects, slot) for slot in slots])
+
+
+def _column(workspace: Workspace, effects: Sequence[Planned], slot: Slot) -> np.ndarray:
+    """(samples,) derivative of the residual by one slot, remembered by the effects that it depends on: at
+    another level it is the same."""
+    around = _around(effects, effects[slot.effect])
+    place = next(k for k, e in enumerate(around) if e is effects[slot.effect])
+    own = replace(slot, effect=place)
+
+    def derivative() -> np.ndarray:
+        here, step = own.get(around), step_of(workspace, own, around)
+        if here + step > own.param.high:
+            step = -step
+        moved = list(around)
+        own.put(moved, here + step)
+        return workspace.moved(around, moved) / step
+
+    return workspace.remembered(f"by {place} {slot.param.name} {slot.component}", around, derivative)
+
+
+def _around(effects: Sequence[Planned], e: Planned) -> list[Planned]:
+    """The effects that the trace of an effect depends on: of one that acts within its joint, those of that
+    joint."""
+    if not acts_within_a_joint(e):
+        return list(effects)
+    return [other for other in effects if other.joint == e.joint and other.effect.site is not Site.BODY]
+
+
+def _followed(
+    workspace: Workspace,
+    effects: Sequence[Planned],
+    slots: Sequence[Slot],
+    jacobian: np.ndarray,
+    taken: Sequence[Planned],
+) -> tuple[np.ndarray, list[Planned]]:
+    """The derivatives where the effects are now, and the effects that they were taken at: those of effects
+    near which nothing has moved but by little are kept. With many causes, most are."""
+    far = {e.key for e, before in zip(effects, taken, strict=True) if not _near(e, before)}
+    anew = [any(other.key in far for other in _around(effects, e)) for e in effects]
+    at = [e if new else before for e, before, new in zip(effects, taken, anew, strict=True)]
+    columns = [
+        _column(workspace, effects, slot) if anew[slot.effect] else row
+        for slot, row in zip(slots, jacobian, strict=True)
+    ]
+    return np.array(columns), at
+
+
+def _near(e: Planned, before: Planned) -> bool:
+    """Whether no number of an effect is far from what it was."""
+    for param in e.effect.params:
+        now, then = (np.ravel(one.values[param.name]) for one in (e, before))
+        if np.any(np.abs(now - then) > NEAR * (1.0 if param.wraps else np.abs(then))):
+            return False
+    return True
+
+
+def step_of(workspace: Workspace, slot: Slot, effects: Sequence[Planned]) -> float:
+    """Finite-difference step: relative to the value, but not below a size the data could ever show."""
+    here = abs(slot.get(effects))
+    floor = {"rad": 1e-6, "s": 1e-6, "m": 1e-3, "kg": 1e-4}.get(slot.param.unit, 1e-5)
+    return min(max(RELATIVE_STEP * here, floor), slot.param.step)
+
+
+def normal_equations(
+    workspace: Workspace,
+    jacobian: np.ndarray,
+    y: np.ndarray,
+    slots: Sequence[Slot],
+    effects: Sequence[Planned],
+) -> tuple[np.ndarray, np.ndarray]:
+    normal, slope = workspace.normal(jacobian, y)
+    for k, slot in enumerate(slots):
+        value, first = weak_prior(slot, effects, workspace.settings.regression)
+        normal[k, k] += first**2
+        slope[k] += first * value
+    return normal, slope
+
+
+def _prior(workspace: Workspace, slots: Sequence[Slot], effects: Sequence[Planned]) -> float:
+    settings = workspace.settings.regression
+    return sum(weak_prior(slot, effects, settings)[0] ** 2 for slot in slots)
+
+
+def weak_prior(slot: Slot, effects: Sequence[Planned], settings: RegressionSettings) -> tuple[float, float]:
+    """How many deviations a number lies from what is plausible at all, and the derivative of that: factors
+    are off by a factor of two as a rule at most; positions lie within reach."""
+    number, param = slot.get(effects), slot.param
+    if param.unit == "m":
+        return number / settings.position_deviation, 1.0 / settings.position_deviation
+    if param.unit == "1" and param.low < 0.0 and param.null == 0.0:
+        factor = max(1.0 + number, 1e-3)
+        return float(np.log(factor)) / settings.factor_deviation, 1.0 / (factor * settings.factor_deviation)
+    return 0.0, 0.0
+
+
+def _wrap(effects: Sequence[Planned]) -> list[Planned]:
+    """Angles into (-pi, pi]."""
+    out = []
+    for planned in effects:
+        turned = {
+            p.name: float(np.angle(np.exp(1j * planned.values[p.name])))
+            for p in planned.effect.params
+            if p.wraps
+        }
+        out.append(replace(planned, values={**planned.values, **turned}) if turned else planned)
+    return out
+
+
+def covariance(result: Fit, blocks: np.ndarray) -> np.ndarray:
+    """(slots, slots) covariance of the fitted numbers that holds when the residual is not white: bread from
+    the curvature, meat from the scores of time blocks (White 1980; Newey and West 1987). `blocks` (samples,)
+    numbers each sample's block. Never below what the predicted noise alone gives."""
+    k, workspace = len(result.slots), result.workspace
+    if k == 0:
+        return np.zeros((0, 0))
+    normal, _ = normal_equations(workspace, result.tangents, result.y, result.slots, result.effects)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    bread = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
+    projected = workspace.project(result.tangents) * workspace.weights
+    residual = workspace.rest(result.y) * workspace.weights
+    count = int(blocks.max()) + 1
+    scores = np.stack([np.bincount(blocks, weights=row * residual, minlength=count) for row in projected])
+    meat = scores @ scores.T * (count / max(1, count - k))
+    robust = bread @ meat @ bread
+    scale = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(bread), 1e-300)))
+    return bread * np.outer(scale, scale)

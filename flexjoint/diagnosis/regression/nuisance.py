@@ -1,0 +1,373 @@
+"""Nominal numbers that are not exactly known: one whitened column each, in units of its tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from flexjoint.core.lru_cache import LruCache
+from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, Balances
+from flexjoint.diagnosis.regression.whitening import Band, Whitening
+from flexjoint.diagnosis.signals.jumps import Unknown, jumps, unknown_shapes
+from flexjoint.diagnosis.signals.signals import Readings
+from flexjoint.effects import Drive, Effect, Parameter, Planned, Site, effect
+from flexjoint.robot.robot import Robot
+
+TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
+STEP = 0.01  # prior deviations, of a derivative where friction holds: a whole one may break it loose
+REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
+JUMP = "jump between samples"
+JUMP_MEMORY = 1e8  # bytes of all of them: the largest ones, where there are more
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A nominal number: the name of its deviation, joint, and prior standard deviation (relative, or
+    absolute where the number has no scale)."""
+
+    name: str  # spring_stiffness | spring_damping | motor_inertia | motor_damping | inertial | ...
+    joint: str | None
+    spread: float
+
+    @property
+    def held_as_effect(self) -> bool:
+        """Whether `as_effects` makes an effect of its deviation."""
+        return self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")
+
+    @property
+    def of_the_robot(self) -> bool:
+        """Whether it is a number that the robot file claims, which may be implausibly far off; not one that
+        nobody knows."""
+        return self.name != JUMP
+
+
+class DriveDeviation(Effect):
+    """An actuator whose nominal numbers are off by relative amounts (not a cause: a tolerance at work)."""
+
+    site = Site.MOTOR
+    params = tuple(
+        Parameter(name, "1", name, value=0.0, low=-0.95, high=100.0) for name in ("K", "D", "B", "D_m")
+    )
+
+    def edit_drive(self, drive: Drive, p: Any) -> Drive:
+        return drive.scaled(K=1.0 + p.K, D=1.0 + p.D, B=1.0 + p.B, D_m=1.0 + p.D_m)
+
+
+class InertialDeviation(Effect):
+    """A link whose nominal inertial parameters are off (not a cause: a tolerance at work)."""
+
+    site = Site.BODY
+    params = (Parameter("added", "", r"\Delta\pi", value=0.0, low=-1e9, high=1e9, size=10),)
+
+    def edit_inertial(self, inertial: Any, p: Any) -> Any:
+        return [have + more for have, more in zip(inertial, p.added, strict=True)]
+
+
+NUMBERS = {"spring_stiffness": "K", "spring_damping": "D", "motor_inertia": "B", "motor_damping": "D_m"}
+
+
+def as_effects(
+    nuisance: Sequence[Nuisance],
+    deviations: np.ndarray,
+    nominal: np.ndarray,
+    robot: Robot,
+    other_component: float,
+) -> list[Planned]:
+    """Deviations of the actuators and links, in prior deviations, as effects that a model can hold.
+    `nominal` (n, 10) are the links' inertial parameters."""
+    drives: dict[str, dict[str, float]] = {}
+    added: dict[str, np.ndarray] = {}
+    directions: dict[str, Iterator[np.ndarray]] = {}  # of a joint, those still to come
+    for number, deviation in zip(nuisance, deviations, strict=True):
+        if number.joint is None:
+            continue
+        if number.name in NUMBERS:
+            change = max(-0.9, float(deviation) * number.spread)
+            drives.setdefault(number.joint, {})[NUMBERS[number.name]] = change
+        elif number.name == "inertial":
+            i = robot.joint_names.index(number.joint)
+            if number.joint not in directions:
+                directions[number.joint] = iter(
+                    inertial_directions(nominal[i], number.spread, other_component)
+                )
+                added[number.joint] = np.zeros(10)
+            added[number.joint] += next(directions[number.joint]) * float(deviation)
+    out = [  # reading = true + offset
+        effect(n.name, n.joint, offset=float(np.clip(-d * n.spread, -TURN, TURN)))
+        for n, d in zip(nuisance, deviations, strict=True)
+        if n.name.endswith("_encoder_offset")
+    ]
+    out += [
+        Planned(DriveDeviation(), joint, {**dict.fromkeys("KB", 0.0), "D": 0.0, "D_m": 0.0, **values})
+        for joint, values in drives.items()
+    ]
+    out += [
+        Planned(InertialDeviation(), joint, {"added": tuple(map(float, change))})
+        for joint, change in added.items()
+    ]
+    return out
+
+
+class Columns:
+    """Builds the columns of one set of balances under one whitening; where torques jump, the readings as they
+    are tell."""
+
+    def __init__(self, balances: Balances, whitening: Whitening, readings: Readings) -> None:
+        self.balances, self.whitening, self._readings = balances, whitening, readings
+        self.motion, self.robot = balances.motion, balances.motion.robot
+        self.nuisance: list[Nuisance] = []
+        self._recent: LruCache[Band] = LruCache()
+        self._directions: dict[int, np.ndarray] = {}  # (10,) of a link's parameters, by number
+        self._jumps: list[Unknown] = []
+        self.samples = whitening.time.size * len(balances.rows)
+        columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
+        if self.robot.file.offsets == "per_recording":
+            columns += self._offset_columns()
+        columns += self._jump_columns()
+        self.claimed = np.array([number.of_the_robot for number in self.nuisance], dtype=bool)
+        self.matrix = np.empty((len(columns), self.samples))
+        for k in range(len(columns)):  # each is freed as it is taken over: together they are large
+            self.matrix[-1 - k] = columns.pop()
+
+    def _drive_columns(self) -> list[np.ndarray]:
+        tolerance = self.robot.tolerance
+        columns: list[np.ndarray] = []
+        for i, joint in enumerate(self.robot.joints):
+            drive, s = joint.drive, self.balances.chains.jomega
+            theta = self._spectrum(self.motion.theta[i])
+            phi = theta - self._spectrum(self.motion.q[i])
+            shaft = {"motor_inertia": drive.B * s**2 * theta, "motor_damping": drive.D_m * s * theta}
+            spreads = {"motor_inertia": tolerance.inertial, "motor_damping": tolerance.damping}
+            for name, spectrum in shaft.items():
+                if self._row(MOTOR, i) is not None:
+                    columns.append(self._column({(MOTOR, i): -spreads[name] * spectrum}))
+                    self.nuisance.append(Nuisance(name, joint.name, spreads[name]))
+            if joint.rigid:
+                continue
+            for name, spectrum, spread in (
+                ("spring_stiffness", drive.K * phi, tolerance.stiffness),
+                ("spring_damping", drive.D * s * phi, tolerance.damping),
+            ):
+                change = spread * spectrum
+                columns.append(self._column({(MOTOR, i): -change, (LINK, i): change, (SPRING, i): -change}))
+                self.nuisance.append(Nuisance(name, joint.name, spread))
+        return columns
+
+    def _inertial_columns(self) -> list[np.ndarray]:
+        """Mass, centre of mass and inertia about it of every actuated link, each with its own tolerance."""
+        tolerance, other = self.robot.tolerance.inertial, self._readings.settings.regression.other_component
+        columns: list[np.ndarray] = []
+        if tolerance == 0:
+            return columns
+        for i, joint in enumerate(self.robot.joints):
+            nominal = self.motion.rigid.inertial[i]
+            if nominal[0] <= 0:
+                continue
+            for direction in inertial_directions(nominal, tolerance, other):
+                columns.append(self._column(self._load_rows(self.balances.inertial_torque(i, direction))))
+                self._directions[len(self.nuisance)] = direction
+                self.nuisance.append(Nuisance("inertial", joint.name, tolerance))
+        return columns
+
+    def _effect_columns(self) -> list[np.ndarray]:
+        """Numbers of the effects that the nominal model claims."""
+        columns: list[np.ndarray] = []
+        base = list(self.robot.effects)
+        for e in self.robot.effects:
+            spread = tolerance_of(e, self.robot)
+            for param in e.effect.nulls:
+                value = e.values.get(param.name)
+                if param.size > 1 or not value or not np.isfinite(value) or spread == 0:
+                    continue
+                moved = e.with_values({param.name: value * (1.0 + spread)})
+                changed = self.balances.changed(base, [moved if x is e else x for x in base])
+                columns.append(self.whitening.white(self.whitening.band(changed)).ravel())
+                self.nuisance.append(Nuisance(e.effect.name, e.joint, spread))
+        return columns
+
+    def _offset_columns(self) -> list[np.ndarray]:
+        """Encoder offsets, free in each recording."""
+        limits = self._readings.settings.regression
+        columns: list[np.ndarray] = []
+        ones = np.ones(self.balances.filter.count)
+        unit = self._spectrum(ones)
+        for i, joint in enumerate(self.robot.joints):
+            stiff = 0.0 if joint.rigid else joint.drive.K * limits.offset_deviation
+            load = self._load_rows(limits.offset_deviation * self.motion.rigid.by_q[:, :, i].T)
+            if joint.rigid:
+                columns.append(self._column(load))
+                self.nuisance.append(Nuisance("motor_encoder_offset", joint.name, limits.offset_deviation))
+                continue
+            twist = {(MOTOR, i): -stiff * unit, (LINK, i): stiff * unit, (SPRING, i): -stiff * unit}
+            columns.append(self._column(twist))
+            self.nuisance.append(Nuisance("motor_encoder_offset", joint.name, limits.offset_deviation))
+            back = {key: -value for key, value in twist.items()}
+            for key, value in load.items():
+                back[key] = back.get(key, 0.0) + value
+            columns.append(self._column(back))
+            self.nuisance.append(Nuisance("link_encoder_offset", joint.name, limits.offset_deviation))
+        return columns
+
+    def _jump_columns(self) -> list[np.ndarray]:
+        """What torques that jump gave between two samples, where it matters: of many jumps in a row, which
+        the balances cannot part, as many columns as they can."""
+        limits = self._readings.settings.regression
+        size = jumps(self._readings)
+        size[:, ~self._readings.valid] = 0.0
+        shapes, weight = np.zeros((len(size), 2, 2)), np.zeros_like(size)
+        for i, own in enumerate(size):
+            if np.any(own) and self._row(MOTOR, i) is not None:
+                shapes[i] = unknown_shapes(self._readings, i, self.robot.rates.control)
+                largest = int(np.argmax(own))  # where samples are used, unlike some other places
+                weight[i] = own * np.linalg.norm(self._pair_column(i, largest, shapes[i, 0]))
+        most = max(1, int(JUMP_MEMORY / (2 * 8 * self.samples)))
+        least = max(limits.least_jump, float(np.sort(weight, axis=None)[-min(most, weight.size)]))
+        columns: list[np.ndarray] = []
+        for i, own in enumerate(size):
+            when = np.flatnonzero(weight[i] > least)
+            if not when.size:
+                continue
+            pairs = np.concatenate([own[when, None] * shape for shape in shapes[i]])
+            when = np.tile(when, len(shapes[i]))
+            each = np.array([self._pair_column(i, int(k), pair) for k, pair in zip(when, pairs, strict=True)])
+            energy, axes = np.linalg.eigh(each @ each.T)
+            axes = axes[:, energy > limits.least_jump**2]
+            columns += list(axes.T @ each)
+            self._jumps.append(Unknown(i, when, pairs, axes))
+        self.nuisance += [Nuisance(JUMP, None, 1.0)] * len(columns)
+        return columns
+
+    def _pair_column(self, i: int, k: int, pair: np.ndarray) -> np.ndarray:
+        """Trace of torques (2,) of motor i at sample k and the next."""
+        torque = np.zeros(self.balances.filter.count)
+        torque[k : k + 2] = pair
+        return self._column({(MOTOR, i): self._spectrum(torque)})
+
+    def jump_torque(self, deviations: np.ndarray) -> np.ndarray:
+        """(n, N) motor torques [N m] that deviations (numbers,) say came between samples."""
+        count = self.balances.filter.count
+        out, numbers = np.zeros((len(self.robot.joints), count)), deviations[~self.claimed]
+        for unknown in self._jumps:
+            own, numbers = np.split(numbers, [unknown.axes.shape[1]])
+            out[unknown.joint] = unknown.torque(own, count)
+        return out
+
+    def entangled(self, effects: Sequence[Planned]) -> dict[str, list[Planned]]:
+        """Joints with effects that change what an actuator's numbers do, with all effects of their own."""
+        joints = dict.fromkeys(e.joint for e in effects if e.joint and entangles(e))
+        return {j: [e for e in effects if e.joint == j and e.effect.site is not Site.BODY] for j in joints}
+
+    def beside(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
+        """Columns (by their number's index) of numbers that do something else beside effects: of actuators
+        beside effects of their joint, of links beside a friction that holds them."""
+        entangled = self.entangled(effects)
+        out = self._loads_beside(entangled)
+        for joint, own in entangled.items():
+            for k, number in enumerate(self.nuisance):
+                if number.joint == joint and number.name in NUMBERS:
+                    key = (number.name, joint, *(e.identity for e in own))
+                    make = partial(self._beside, own, joint, number)
+                    out[k] = self.whitening.white(self._recent.get(key, make, REMEMBERED)).ravel()
+        return out
+
+    def _beside(self, own: Sequence[Planned], joint: str, number: Nuisance) -> Band:
+        """Trace of a joint's number beside effects of that joint, before it is whitened."""
+        off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: STEP * number.spread}
+        changed = self.balances.changed(own, [*own, Planned(DriveDeviation(), joint, off)])
+        return self.whitening.band({row: spectrum / STEP for row, spectrum in changed.items()})
+
+    def _loads_beside(self, entangled: Mapping[str, Sequence[Planned]]) -> dict[int, np.ndarray]:
+        """Columns of links' numbers whose loads a friction holds: where it does, they leave no trace."""
+        names, chains = self.robot.joint_names, self.balances.chains
+        held: dict[tuple[str, int], np.ndarray] = {}  # by balance and joint
+        for joint, own in entangled.items():
+            i = names.index(joint)
+            if chains.rests_on_load(i, own):
+                chain = chains.get(i, own)
+                for balance, where in ((LINK, chain.held_link), (MOTOR, chain.held_motor)):
+                    row = (MOTOR if self.robot.joints[i].rigid else balance, i)
+                    if np.any(where):
+                        held[row] = where | held.get(row, False)
+        out: dict[int, np.ndarray] = {}
+        for k, direction in self._directions.items() if held else ():
+            torque = self.balances.inertial_torque(names.index(str(self.nuisance[k].joint)), direction)
+            taken = {
+                row: self._spectrum(w * torque[row[1]]) for row, w in held.items() if torque[row[1]].any()
+            }
+            if taken:
+                out[k] = self.matrix[k] + self._column(taken)
+        return out
+
+    def load_band(self, torque: np.ndarray) -> Band:
+        """Trace, before it is whitened, of a change (n, N) of the rigid-body torques."""
+        return self._band(self._load_rows(torque))
+
+    def _load_rows(self, torque: np.ndarray) -> dict[tuple[str, int], np.ndarray]:
+        """A change (n, N) of the rigid-body torques as it enters the balances."""
+        out = {}
+        for k, other in enumerate(self.robot.joints):
+            if np.any(torque[k]):
+                out[(MOTOR if other.rigid else LINK, k)] = -self.balances.filter.spectrum(torque[k])
+        return out
+
+    def _column(self, entries: dict[tuple[str, int], np.ndarray]) -> np.ndarray:
+        return self.whitening.white(self._band(entries)).ravel()
+
+    def _band(self, entries: dict[tuple[str, int], np.ndarray]) -> Band:
+        rows = {self._row(*key): spectrum for key, spectrum in entries.items()}
+        return self.whitening.band({row: spectrum for row, spectrum in rows.items() if row is not None})
+
+    def _row(self, balance: str, joint: int) -> int | None:
+        for r, row in enumerate(self.balances.rows):
+            if row.balance == balance and row.joint == joint:
+                return r
+        return None
+
+    def _spectrum(self, x: np.ndarray) -> np.ndarray:
+        return self.balances.filter.spectrum(x) * self.balances.filter.gain
+
+
+def tolerance_of(e: Planned, robot: Robot) -> float:
+    """The share to which a number of an effect that the nominal model claims is known."""
+    tolerance = robot.tolerance
+    by_site = {Site.MOTOR: tolerance.damping, Site.LINK: tolerance.damping, Site.BODY: tolerance.inertial}
+    return by_site.get(e.effect.site, tolerance.stiffness)
+
+
+def entangles(e: Planned) -> bool:
+    """Whether an effect changes what a small change of its joint's actuator or link does: a body that dry
+    friction holds at rest is held against whatever its spring or its load pulls, and a stiffness acts on the
+    deflection that an offset of an encoder, or a gap, leaves. (The change of a number takes its own
+    tolerance along itself.)"""
+    return e.effect.overrides("level") or e.effect.site in (Site.DEFLECTION, Site.SENSOR)
+
+
+def inertial_directions(nominal: np.ndarray, tolerance: float, other_component: float) -> list[np.ndarray]:
+    """One-deviation changes of (m, m c, I) for mass, centre of mass and inertia about it: ten directions.
+
+    A small component of the centre of mass is trusted to the share `other_component` of its length, a product
+    of inertia to the same share of the trace."""
+    m, c = nominal[0], nominal[1:4] / nominal[0]
+    directions = []
+    unit = np.concatenate([[1.0], c, _second(c, c)])
+    directions.append(tolerance * m * unit)
+    length = float(np.linalg.norm(c))
+    for axis in np.eye(3):
+        step = tolerance * (abs(float(axis @ c)) + other_component * length) * axis
+        directions.append(np.concatenate([[0.0], m * step, m * (_second(c, step) + _second(step, c))]))
+    central = nominal[4:] - m * _second(c, c)
+    trace = central[0] + central[2] + central[5]
+    for k in range(6):
+        size = tolerance * (abs(central[k]) + (other_component * trace if k in (1, 3, 4) else 0.0))
+        directions.append(size * np.eye(10)[4 + k])
+    return directions
+
+
+def _second(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(Ixx, Ixy, Iyy, Ixz, Iyz, Izz) of -[a]x [b]x, symmetric part."""
+    full = float(a @ b) * np.eye(3) - 0.5 * (np.outer(a, b) + np.outer(b, a))
+    return np.array([full[0, 0], full[0, 1], full[1, 1], full[0, 2], full[1, 2], full[2, 2]])

@@ -1,0 +1,407 @@
+"""One recording against one robot, ready to be asked: how well does this set of effects explain it?
+
+Every nominal number is a random variable with the robot's tolerance as its standard deviation. Its
+sensitivity column J (in units of that deviation) is marginalised out of every comparison: energies are
+    Q(y, y) = min over d of |y - J d|^2 + |d|^2,
+so that what the tolerances can explain is explained first, and only what they cannot counts.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import fft
+from scipy.linalg import cho_factor, cho_solve
+
+from flexjoint.core.lru_cache import LruCache
+from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
+from flexjoint.diagnosis.regression import whitening
+from flexjoint.diagnosis.regression.nuisance import Columns
+from flexjoint.diagnosis.regression.whitening import Band
+from flexjoint.effects import Effect, Planned, Signals
+from flexjoint.model.joint import neighbours
+
+TEMPER_ROUNDS = 12
+UNCORRELATED = 0.05  # below it a correlation is taken to have ended: it is estimated no better
+REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that effects move
+
+
+@dataclass(frozen=True)
+class Moves:
+    """By how much effects change the columns of some nominal numbers, and all products then."""
+
+    numbers: np.ndarray  # (m,) indices
+    change: np.ndarray  # (m, samples)
+    grams: np.ndarray  # (rows, k, k)
+
+    @property
+    def nbytes(self) -> int:
+        return self.change.nbytes + self.grams.nbytes
+
+
+class Workspace:
+    """Whitened residuals and their inner products with the nominal model's tolerances marginalised.
+
+    Frozen: `at`, `about` and `only` give another one that shares what does not change. What is remembered
+    (residuals, columns) is the same for any of them."""
+
+    def __init__(self, balances: TwinBalances) -> None:
+        self.balances = balances
+        self.motion, self.robot = balances.motion, balances.motion.robot
+        self.readings = self.motion.readings
+        self.settings = self.readings.settings
+        self.torque_scale = balances.torque_scale()
+        rows = self.balances.rows
+        scale = np.array([self.torque_scale[r.joint] for r in rows])
+        self.whitening = whitening.make(balances, scale, ())
+        self.time = self.whitening.time
+        self.samples = self.time.size * len(rows)
+        self.freedom = self.time.size * self.whitening.freedom
+        self.nominal = tuple(self.robot.effects)
+        self._signals: dict[str | None, Signals] = {}
+        self._starts: dict[tuple[str, str | None], tuple[dict[str, float], ...]] = {}
+        self._recent: LruCache[np.ndarray] = LruCache()
+        self._moves: LruCache[Moves] = LruCache()
+        self._columns = Columns(balances.quiet, self.whitening, self.readings)
+        self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
+        self._entangled: tuple[Planned, ...] = ()  # effects beside which actuators' numbers do something else
+        self.temper = np.ones(len(rows))
+        self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
+        self.used = np.ones(self.time.size)
+        self._grams = self._grams_of_rows(self.used)
+        self.gram, self._gram = self._weighed()
+        self._frozen = True
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if vars(self).get("_frozen"):
+            raise AttributeError(f"{name}: a workspace is frozen; `at`, `about` and `only` give another one")
+        super().__setattr__(name, value)
+
+    def _changed(self, **values: object) -> Workspace:
+        """A copy with some values of its own, and the products that depend on them."""
+        other = copy.copy(self)
+        vars(other).update(values)
+        gram, factor = other._weighed()
+        vars(other).update(gram=gram, _gram=factor)
+        return other
+
+    @property
+    def J(self) -> np.ndarray:
+        """(numbers, samples) whitened columns of the nominal numbers, one prior deviation each. By far the
+        largest array there is, and a copy where effects move some: see `pull`, `across` and `along`."""
+        if not self._entangled:
+            return self._plain
+        out = self._plain.copy()
+        out[self.moves.numbers] += self.moves.change
+        return out
+
+    @property
+    def moves(self) -> Moves:
+        """What effects change of the nominal numbers' columns. Not kept with each of many fits, as it
+        is large and seldom asked for again: made anew where it is not remembered."""
+        effects = self._entangled
+        key = tuple(e.identity for e in effects)
+        return self._moves.get(key, lambda: self._moves_by(effects), REMEMBERED)
+
+    def _grams_of_rows(self, used: np.ndarray) -> np.ndarray:
+        """(rows, k, k) products of the nominal numbers' plain columns over each balance's used samples."""
+        k, rows = len(self._plain), len(self.balances.rows)
+        split = self._plain.reshape(k, rows, self.time.size)
+        out = np.empty((rows, k, k))
+        for row in range(rows):
+            part = split[:, row] * used
+            out[row] = part @ part.T
+        return out
+
+    def _moved_grams(self, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """(rows, k, k) the same where those of some numbers are others."""
+        rows = len(self.balances.rows)
+        plain = self._plain.reshape(len(self._plain), rows, self.time.size)
+        moved = columns.reshape(len(at), rows, self.time.size)
+        out = self._grams.copy()
+        for row in range(rows):
+            part = moved[:, row] * self.used
+            across = part @ plain[:, row].T
+            across[:, at] = part @ moved[:, row].T
+            out[row, at] = across
+            out[row][:, at] = across.T
+        return out
+
+    def _weighed(self) -> tuple[np.ndarray, Any]:
+        """(k, k) products of the nominal numbers' columns with their priors, and their Cholesky factor."""
+        # J is never stored weighted, for its size
+        gram = np.tensordot(1.0 / self.temper, self.moves.grams, 1) + np.eye(len(self._plain))
+        return gram, cho_factor(gram)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(samples,) by which a residual is multiplied at these variances; 0 where it is not used."""
+        return np.outer(1.0 / np.sqrt(self.temper), self.used).ravel()
+
+    @property
+    def squares(self) -> np.ndarray:
+        """(samples,) squares of the weights."""
+        return np.outer(1.0 / self.temper, self.used).ravel()
+
+    def at(self, temper: np.ndarray, strain: float = 1.0) -> Workspace:
+        """The same workspace with each balance's variance taken as `temper` (rows,) times the predicted
+        noise: for comparing models of which none is complete."""
+        return self._changed(temper=temper, strain=strain)
+
+    def about(self, effects: Sequence[Planned]) -> Workspace:
+        """The same workspace with the nominal numbers' columns taken where these effects, beyond the nominal
+        model's, are at work (`nuisance.entangles`)."""
+        entangled = self._columns.entangled(self.with_nominal(effects))
+        if not entangled and not self._entangled:
+            return self
+        return self._changed(_entangled=tuple(e for own in entangled.values() for e in own))
+
+    def _moves_by(self, effects: Sequence[Planned]) -> Moves:
+        changed = self._columns.beside(effects)
+        numbers = np.array(list(changed), dtype=int)
+        columns = np.array(list(changed.values())).reshape(len(changed), self.samples)
+        change = columns - self._plain[numbers]
+        return Moves(numbers, change, self._moved_grams(numbers, columns) if changed else self._grams)
+
+    def shared(self) -> list[object]:
+        """What this workspace has in common with all others of its recording."""
+        return [one for one in (*vars(self).values(), *self.nominal) if not isinstance(one, (int, float))]
+
+    def only(self, used: np.ndarray) -> Workspace:
+        """The same workspace with only some samples (bool, as many as `time`) counted."""
+        counted = used.astype(float)
+        return self._changed(used=counted, _grams=self._grams_of_rows(counted), _moves=LruCache())
+
+    def settled(self, y: np.ndarray) -> Workspace:
+        """The workspace at the variances that a residual y shows once the nominal numbers have explained what
+        they can, plausible or not."""
+        here = self.at(np.ones_like(self.temper))
+        for _ in range(TEMPER_ROUNDS):
+            levels = here.levels(y)
+            if np.all(levels <= 1.02 * here.temper):
+                break
+            here = here.at(np.maximum(levels, here.temper))
+        return here
+
+    def tempered(self, y: np.ndarray) -> Workspace:
+        """The workspace at the variances that a residual y shows once the nominal numbers have explained
+        what they plausibly can; correlated leftovers count as the few independent samples they are."""
+        limits = self.settings.regression
+        here = self.settled(y)
+        while here.furthest(y) > limits.plausible and here.energy(y) > 2.0 * limits.telling:
+            here = here.at(2.0 * here.temper, 2.0 * here.strain)
+        if here.energy(y) <= 2.0 * limits.telling:
+            return here
+        return here.at(np.maximum(here.temper, here.levels(y)), here.strain)
+
+    def levels(self, y: np.ndarray) -> np.ndarray:
+        """(rows,) variance of what the nominal numbers leave of y, times its correlation time in samples;
+        at least 1."""
+        rest = self.rest(y).reshape(len(self.balances.rows), -1)
+        count = rest.shape[1]
+        longest = count // 4
+        size = fft.next_fast_len(count + longest, real=True)  # no lag that is used wraps around
+        spectrum = np.abs(fft.rfft(rest, size, axis=1)) ** 2
+        correlation = fft.irfft(spectrum, size, axis=1)[:, :longest]
+        correlation = correlation / np.maximum(correlation[:, :1], 1e-300)
+        past = np.cumsum(correlation < UNCORRELATED, axis=1) > 0
+        length = 1.0 + 2.0 * np.sum(np.where(past, 0.0, correlation)[:, 1:], axis=1)
+        # a constant error is one long correlation, and still no accident
+        longest_one = count / self.settings.regression.fewest_samples
+        return np.maximum(1.0, np.mean(rest**2, axis=1) * np.minimum(length, longest_one))
+
+    # ------------------------------------------------------------------ residuals
+    def whitened(self, effects: Sequence[Planned]) -> np.ndarray:
+        """(samples,) whitened residual with exactly these effects (nominal ones included) at work."""
+        return self.whitening.apply(self.balances.residual(effects)).ravel()
+
+    def residual(self, extra: Sequence[Planned]) -> np.ndarray:
+        """(samples,) whitened residual with these effects beyond (or instead of) the nominal model's.
+
+        Effects that change what noise makes of a balance (an inertia, a stiffness, a gain) enter through
+        their trace on the denoised recording: a fit must not be drawn towards numbers that shrink a balance,
+        and its noise with it (errors in variables; Fuller 1987). Remembered: it is the same at any level, and
+        made of the nominal model's by what changes, joint by joint."""
+        return self.remembered("residual", extra, lambda: self._residual(extra))
+
+    def _residual(self, extra: Sequence[Planned]) -> np.ndarray:
+        if not extra:
+            return self.whitened(self.nominal)
+        every, loud = self.with_nominal(extra), self._loud(extra)
+        change = self.balances.changed(self.nominal, loud)
+        if len(loud) < len(every):
+            _add(change, self.balances.quiet.changed(loud, every))
+        return self.residual([]) + self.whitening.white(self.whitening.band(change)).ravel()
+
+    def remembered(self, what: str, effects: Sequence[Planned], make: Callable[[], np.ndarray]) -> np.ndarray:
+        """An array that depends on the effects beyond the nominal model's alone. Not to be written on."""
+        return self._recent.get((what, *(e.identity for e in effects)), make, REMEMBERED)
+
+    def moved(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
+        """(samples,) residual(other) - residual(extra), at the cost of the joints that differ."""
+        return self.whitening.white(self.moved_band(extra, other)).ravel()
+
+    def moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
+        """The same before it is whitened."""
+        a, b = self._loud(extra), self._loud(other)
+        change = self.balances.changed(a, b)
+        every_a, every_b = self.with_nominal(extra), self.with_nominal(other)
+        if len(a) < len(every_a) or len(b) < len(every_b):
+            _add(change, self.balances.quiet.changed(every_a, every_b))
+            _add(change, self.balances.quiet.changed(a, b), -1.0)
+        return self.whitening.band(change)
+
+    def calmly_moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
+        """`moved_band` along the denoised recording."""
+        before, after = self.with_nominal(extra), self.with_nominal(other)
+        return self.whitening.band(self.balances.quiet.changed(before, after))
+
+    def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
+        """The effects that are evaluated on the recording as it is, noise included."""
+        kept = [e for e in extra if not whitening.shapes_noise(e, self.balances)]
+        replaced = {e.key for e in extra}
+        shaping = [e for e in self.nominal if whitening.shapes_noise(e, self.balances)]
+        return [e for e in self.nominal if e.key not in replaced or e in shaping] + kept
+
+    def with_nominal(self, extra: Sequence[Planned]) -> list[Planned]:
+        """The nominal model's effects with these added; one that it lists already is replaced."""
+        keys = {e.key for e in extra}
+        return [e for e in self.nominal if e.key not in keys] + list(extra)
+
+    # ------------------------------------------------------------------ inner products
+    def pull(self, y: np.ndarray) -> np.ndarray:
+        """(numbers,) how a residual y pulls at the nominal numbers: J W y."""
+        return self.across((y * self.squares)[None])[0]
+
+    @property
+    def bare_gram(self) -> np.ndarray:
+        """(numbers, numbers) J J' of the samples that are used, at the predicted noise."""
+        return np.asarray(np.sum(self.moves.grams, axis=0))
+
+    def across(self, a: np.ndarray) -> np.ndarray:
+        """(k, numbers) a J' of columns a (k, samples)."""
+        out, moves = a @ self._plain.T, self.moves
+        out[:, moves.numbers] += a @ moves.change.T
+        return out
+
+    def across_part(self, a: np.ndarray, row: int, part: slice) -> np.ndarray:
+        """(k, numbers) the same of one balance's part of the record, a (k, size of the part), without what
+        effects move."""
+        plain = self._plain.reshape(len(self._plain), len(self.balances.rows), self.time.size)
+        return np.asarray(a @ plain[:, row, part].T)
+
+    def along(self, d: np.ndarray) -> np.ndarray:
+        """(..., samples) d J of deviations d (..., numbers)."""
+        moves = self.moves
+        return np.asarray(d @ self._plain + d[..., moves.numbers] @ moves.change)
+
+    def energy(self, y: np.ndarray) -> float:
+        """Q(y, y)."""
+        pull = self.pull(y)
+        y = y * self.weights
+        return float(y @ y - pull @ cho_solve(self._gram, pull))
+
+    def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Q between columns a (k, samples) and b (l, samples): (k, l)."""
+        weighted = a * self.squares
+        by_a = self.across(weighted)
+        by_b = by_a if b is a else self.across(b * self.squares)
+        return weighted @ b.T - by_a @ cho_solve(self._gram, by_b.T)
+
+    def normal(self, a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Q among columns a (k, samples), (k, k), and with a residual y (samples,), (k,): `product` and
+        `against` at once, for every walk through the nominal numbers' columns takes time."""
+        both = np.concatenate([a, y[None]])
+        products = self.product(both, both)
+        return products[:-1, :-1], products[:-1, -1]
+
+    def against(self, a: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """(k,) Q between columns a (k, samples) and a residual y (samples,)."""
+        return self.product(a, y[None])[:, 0]
+
+    def deviations(self, y: np.ndarray) -> np.ndarray:
+        """Deviations of the nominal numbers, in prior deviations, that explain most of a residual y."""
+        return cho_solve(self._gram, self.pull(y))
+
+    def furthest(self, y: np.ndarray) -> float:
+        """The largest of the deviations of numbers that the robot file claims, in prior deviations."""
+        return float(np.max(np.abs(self.deviations(y)[self._columns.claimed]), initial=0.0))
+
+    def deviation_errors(self) -> np.ndarray:
+        """Standard errors of `deviations`."""
+        return np.sqrt(np.diag(cho_solve(self._gram, np.eye(len(self._plain)))))
+
+    def rest(self, y: np.ndarray) -> np.ndarray:
+        """(samples,) what the nominal numbers leave of a residual."""
+        return y - self.along(self.deviations(y))
+
+    def project(self, a: np.ndarray) -> np.ndarray:
+        """Columns a (k, samples) with what the nominal numbers can explain of them taken out."""
+        return a - self.along(cho_solve(self._gram, self.across(a * self.squares).T).T)
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(rows,) standard deviation that the sensors' noise has in each balance [N m]."""
+        return self.whitening.deviation
+
+    @property
+    def noise_energy(self) -> float:
+        """Energy that the predicted noise alone has at this temper."""
+        return float(np.sum(1.0 / self.temper)) * self.freedom / len(self.temper)
+
+    def starts(self, effect: Effect, joint: str | None) -> tuple[dict[str, float], ...]:
+        """From where an effect of a joint is looked for."""
+        key = effect.name, joint
+        if key not in self._starts:
+            self._starts[key] = effect.starts(self.signals(joint))
+        return self._starts[key]
+
+    def signals(self, joint: str | None) -> Signals:
+        """Measured signals of a joint on usable samples, as `Effect.starts` sees them."""
+        if joint not in self._signals:
+            self._signals[joint] = self._signals_of(joint)
+        return self._signals[joint]
+
+    def _signals_of(self, joint: str | None) -> Signals:
+        used, smooth = self.readings.valid, self.balances.filter.smooth
+        t = self.balances.chains.t[used]
+        if joint is None:
+            return Signals(t=t)
+        i = self.robot.joint_names.index(joint)
+        q, theta = self.motion.q[i], self.motion.theta[i]
+        torque = np.where(np.isfinite(self.readings.torque), self.readings.torque, 0.0)[:, used]
+        before, after = (x * np.ones(t.size) for x in neighbours(torque, i))
+        return Signals(
+            t=t,
+            q=q[used],
+            dq=smooth(q, 1)[used],
+            theta=theta[used],
+            dtheta=smooth(theta, 1)[used],
+            phi=(theta - q)[used],
+            dphi=smooth(theta - q, 1)[used],
+            tau_t=self.motion.rigid.tau[i][used],
+            tau_m=torque[i],
+            tau_m_before=before,
+            tau_m_after=after,
+        )
+
+    # ------------------------------------------------------------------ nominal numbers
+    def jumped(self, deviations: np.ndarray) -> np.ndarray:
+        """(rows, N) filtered balances [N m] of what deviations (numbers,) say torques did between samples."""
+        torque = self.balances.filter.smooth(self._columns.jump_torque(deviations))
+        motor = np.array([row.balance == MOTOR for row in self.balances.rows], dtype=bool)
+        return np.asarray(torque[[row.joint for row in self.balances.rows]] * motor[:, None])
+
+    def inertial_band(self, i: int, change: np.ndarray) -> Band:
+        """Trace, before it is whitened, of a change (10,) of the inertial parameters of joint i's link."""
+        return self._columns.load_band(self.balances.quiet.inertial_torque(i, change))
+
+
+def _add(spectra: dict[int, np.ndarray], more: dict[int, np.ndarray], sign: float = 1.0) -> None:
+    """Add spectra by row, in place."""
+    for row, spectrum in more.items():
+        spectra[row] = spectra.get(row, 0.0) + sign * spectrum

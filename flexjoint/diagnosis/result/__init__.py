@@ -1,0 +1,90 @@
+"""What a diagnosis says: its values, its summary in words, its JSON, and the robot that it extends."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from flexjoint.core.errors import unknown
+from flexjoint.core.files import check_suffix, write_json
+from flexjoint.core.text import as_html, plain
+from flexjoint.diagnosis.result.summary import summary
+from flexjoint.diagnosis.result.values import (
+    Action,
+    Estimation,
+    Finding,
+    Fitted,
+    Gain,
+    Ranked,
+    Remaining,
+    Removed,
+    ResidualView,
+    Result,
+    Step,
+    Tie,
+    Unexplained,
+    Verdict,
+    WithinTolerance,
+    to_json,
+)
+from flexjoint.robot.robot import Robot, expect
+
+LEAST = (
+    0.5  # probability of a cause that enters the extended model: below, it is more likely wrong than right
+)
+
+
+@dataclass(frozen=True)
+class Diagnosis(Result):
+    """The result of `diagnose`: printed, it is the summary that the terminal shows."""
+
+    def __str__(self) -> str:
+        return plain(summary(self))
+
+    def _repr_html_(self) -> str:
+        return as_html(summary(self))
+
+    def likely(self, least: float = LEAST) -> tuple[Finding, ...]:
+        """The causes with at least this probability."""
+        return tuple(finding for finding in self.findings if finding.probability >= least)
+
+    def extend(self, robot: Robot, least: float = LEAST) -> Robot:
+        """The robot with the causes in its model that are at least as probable as `least`; 0 takes all.
+
+        Raises RobotError of what is no robot, UnknownNameError of a robot without a cause's joint.
+        """
+        robot = expect(robot, "extend")
+        effects = [e for finding in self.likely(least) for e in (finding.members or (finding.planned,))]
+        for item in effects:
+            if item.joint is not None and item.joint not in robot.joint_names:
+                raise unknown("joint", item.joint, robot.joint_names)
+        return robot.extended(effects)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the diagnosis as JSON (docs/formats.md), whole or not at all."""
+        out = Path(path)
+        check_suffix(out, (".json",))
+        write_json(out, to_json(self))
+
+
+__all__ = [
+    "LEAST",
+    "Action",
+    "Diagnosis",
+    "Estimation",
+    "Finding",
+    "Fitted",
+    "Gain",
+    "Ranked",
+    "Remaining",
+    "Removed",
+    "ResidualView",
+    "Result",
+    "Step",
+    "Tie",
+    "Unexplained",
+    "Verdict",
+    "WithinTolerance",
+    "to_json",
+]

@@ -1,0 +1,314 @@
+"""The verdict in plain sentences, three statements apart: is it there, is it all, is it this law?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from flexjoint.diagnosis.result import merit, torque
+from flexjoint.diagnosis.result.values import Finding, Gain, Remaining, Result
+from flexjoint.diagnosis.result.wording import (
+    Joints,
+    capital,
+    cause,
+    clean,
+    listed,
+    number,
+    parameters,
+    percent,
+    ratio,
+    sentence,
+    unit_of,
+    with_unit,
+)
+from flexjoint.diagnosis.settings import USUAL
+from flexjoint.effects import Kind
+
+TIGHT = 0.95  # correlation of two errors, from which it is said
+MOST_PAIRS = 3  # of them that are named
+MAIN = 3  # causes that the first statement names; the table has all
+
+VERDICTS: Mapping[str, str] = {
+    "causes": "Causes named",
+    "healthy": "Healthy",
+    "unexplained": "Unexplained error",
+    "refused": "No verdict",
+}
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One of the things that a diagnosis says; the question is empty where there is but one."""
+
+    question: str
+    lines: tuple[str, ...]
+
+
+def statements(diagnosis: Result, gain: Gain | None, joints: Joints) -> tuple[Statement, ...]:
+    """What was found and what it gains; what is left; whether it is this law, and what would decide it."""
+    if diagnosis.verdict == "refused":
+        return (Statement("", _refused(diagnosis)),)
+    if diagnosis.verdict == "healthy":
+        return (Statement("", (*_healthy(diagnosis, gain), *_next(diagnosis))),)
+    if diagnosis.findings:
+        said = (
+            Statement("Is it there?", _found(diagnosis, gain, joints)),
+            Statement("Is it all?", _left(diagnosis, joints)),
+            Statement("Is it this law?", _law(diagnosis)),
+        )
+    else:
+        said = (
+            Statement("Is it there?", (_nothing_named(diagnosis),)),
+            Statement("What is left?", (*_left(diagnosis, joints), *_error_stays(gain))),
+            Statement("What next?", _next(diagnosis)),
+        )
+    return tuple(statement for statement in said if statement.lines)
+
+
+def needs_reason(diagnosis: Result) -> bool:
+    """Whether the diagnosis' own reason says more than the statements do."""
+    return diagnosis.verdict in ("causes", "unexplained") and not diagnosis.remaining
+
+
+def likely(diagnosis: Result) -> tuple[Finding, ...]:
+    """The causes that are more likely there than not."""
+    return tuple(f for f in diagnosis.findings if f.probability >= USUAL.verdict.likely)
+
+
+def possible(diagnosis: Result) -> tuple[Finding, ...]:
+    """The causes that are more likely absent, and not in the extended model."""
+    return tuple(f for f in diagnosis.findings if f.probability < USUAL.verdict.likely)
+
+
+def ties(diagnosis: Result) -> tuple[str, ...]:
+    """One sentence for each finding that the data cannot distinguish from other causes."""
+    said = []
+    for finding in diagnosis.findings:
+        if not finding.indistinguishable:
+            continue
+        others = listed((cause(tie.effect, tie.joint) for tie in finding.indistinguishable), "or")
+        why = "; ".join(dict.fromkeys(clean(tie.why).rstrip(". ") for tie in finding.indistinguishable))
+        name = cause(finding.effect, finding.joint)
+        said.append(
+            sentence(f"This recording cannot distinguish {name} from {others}" + (f": {why}" if why else ""))
+        )
+    return tuple(said)
+
+
+def numbers(diagnosis: Result) -> tuple[str, ...]:
+    """What to know of the causes' numbers: which are correlated, which are at a bound."""
+    estimation = diagnosis.estimation
+    if estimation is None:
+        return ()
+    said = [
+        sentence(
+            f"The errors of {_parameter(one)} and {_parameter(other)} are correlated by {size:.2f}: this"
+            " recording knows one of them only together with the other"
+        )
+        for one, other, size in estimation.tight(TIGHT)[:MOST_PAIRS]
+    ]
+    if estimation.at_bounds:
+        names = listed(f"{_parameter(name)} ({bound})" for name, bound in estimation.at_bounds)
+        said.append(sentence(f"At a bound of what the catalogue allows: {names}"))
+    return tuple(said)
+
+
+def found_by(diagnosis: Result) -> str:
+    """How the causes' numbers were found; empty without causes."""
+    estimation = diagnosis.estimation
+    if estimation is None:
+        return ""
+    if estimation.method == "output_error":
+        return (
+            f"Numbers are those with which the simulation follows the readings best, restarted every"
+            f" {estimation.seconds:g} s."
+        )
+    why = f": {clean(estimation.why)}" if estimation.why else ""
+    return sentence(f"Numbers are those of the torque balances{why}")
+
+
+def _parameter(name: str) -> str:
+    """effect.joint.parameter as words; a joint's name may hold dots."""
+    effect, rest = name.split(".", 1)
+    joint, parameter = rest.rsplit(".", 1)
+    return f"{clean(parameter)} of {cause(effect, None if joint == 'robot' else joint)}"
+
+
+def because(finding: Finding) -> str:
+    """A cause as the reason of an error."""
+    name = cause(finding.effect, finding.joint)
+    numbers = parameters(finding)
+    shown = f" ({numbers})" if numbers else ""
+    if finding.planned.nominal or finding.kind == Kind.PARAMETER:
+        return f"the model's {name} is off{shown}"
+    if finding.kind == Kind.MECHANICAL:
+        return f"the model lacks {name}{shown}"
+    return f"the model takes no account of {name}{shown}"
+
+
+# ------------------------------------------------------------------ is it there?
+def _found(diagnosis: Result, gain: Gain | None, joints: Joints) -> tuple[str, ...]:
+    named, unsure = likely(diagnosis), possible(diagnosis)
+    lines = []
+    if named:
+        first, *others = named
+        texts = [because(first) + _odds(first, joints)]
+        texts += [cause(f.effect, f.joint) + _numbers(f) + _odds(f, joints) for f in others[: MAIN - 1]]
+        if len(named) > MAIN:
+            texts.append(f"and {len(named) - MAIN} more")
+        lines = [sentence(capital("; ".join(texts))), moved(first, gain, joints)]
+    else:
+        lines.append("No cause is more likely there than not.")
+    if unsure:
+        texts = [cause(f.effect, f.joint) + _numbers(f) + _odds(f, joints) for f in unsure[:MAIN]]
+        if len(unsure) > MAIN:
+            texts.append(f"and {len(unsure) - MAIN} more")
+        lines.append(sentence(f"Possible: {'; '.join(texts)}"))
+    return tuple(line for line in lines if line)
+
+
+def _numbers(finding: Finding) -> str:
+    text = parameters(finding)
+    return f" ({text})" if text else ""
+
+
+def _odds(finding: Finding, joints: Joints) -> str:
+    removal = torque.removal(finding, joints)
+    return f", probability {percent(finding.probability)}" + (f": {removal}" if removal else "")
+
+
+def moved(finding: Finding, gain: Gain | None, joints: Joints) -> str:
+    """How far the simulation's error falls in the signal of the cause's own joint that gains most; of a cause
+    of the whole robot, in the signal of any joint. Empty without a comparison."""
+    at = {finding.joint} if finding.joint is not None else {e.joint for e in finding.members}
+    known = [e for e in merit.channel_errors(gain) if math.isfinite(e.before) and math.isfinite(e.after)]
+    own = [e for e in known if e.joint in at or None in at or not at]
+    if gain is None or not own:
+        return ""
+    data = "data that the fit did not see" if gain.held_out else "the data of the fit itself"
+    most = max(own, key=lambda e: e.before - e.after)
+    if most.after >= most.before:
+        where = f"of {clean(finding.joint)}" if finding.joint is not None else "of the robot"
+        return f"In the simulation of {data}, no measured signal {where} errs less with it."
+    parts = [f"{percent(most.before)} → {percent(most.after)} of its standard deviation"]
+    if math.isfinite(most.rms_before) and math.isfinite(most.rms_after):
+        unit = unit_of(most.channel, most.joint in joints.prismatic)
+        parts.insert(0, with_unit(f"{number(most.rms_before)} → {number(most.rms_after)}", unit))
+    if math.isfinite(most.floor):
+        parts.append(f"sensor noise alone {percent(most.floor)}")
+    return (
+        f"In the simulation of {data}, the error of {joints.signal(most.channel)} at {clean(most.joint)}"
+        f" falls: {'; '.join(parts)}."
+    )
+
+
+def _nothing_named(diagnosis: Result) -> str:
+    worst = torque.most_left(diagnosis.remaining)
+    where = "" if worst is None else f" at {clean(worst.joint)}"
+    if worst is None and diagnosis.unexplained:
+        where = f" at {clean(max(diagnosis.unexplained, key=lambda u: u.share).joint)}"
+    return f"The simulation is wrong{where}, and no effect of the catalogue accounts for it."
+
+
+# ------------------------------------------------------------------ is it all?
+def _left(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
+    remaining = diagnosis.remaining
+    first, most = torque.most_wrong(remaining), torque.most_left(remaining)
+    if first is None or most is None:
+        return uncovered(diagnosis, joints) or (
+            "No joint's torque was compared on unseen data: what is left is not known.",
+        )
+    if not diagnosis.findings:
+        first = most
+    lines = [_of_joint(first, joints, "are left at")]
+    if torque.of_torque(most) > torque.of_torque(first):
+        lines.append(_of_joint(most, joints, "are left at", "Most, for its torque: "))
+    shape = torque.shaped(remaining)
+    if shape is not None:
+        law = "no named cause has" if diagnosis.findings else "no effect of the catalogue has"
+        lines.append(
+            f"Of what is left at {clean(shape.joint)}, {joints.torque(shape.joint, shape.structured)} follow"
+            f" {joints.signal(shape.against)}, by a law that {law}."
+        )
+    elif diagnosis.verdict == "unexplained":
+        lines.append(f"What is left at {clean(most.joint)} follows no single signal.")
+    if possible(diagnosis):
+        lines.append("This is with the possible causes, too, which are not in the extended model.")
+    if diagnosis.verdict == "unexplained" and likely(diagnosis):
+        lines.append("So the causes named are not all of it.")
+    return (*lines, *uncovered(diagnosis, joints))
+
+
+def _of_joint(left: Remaining, joints: Joints, verb: str, opening: str = "") -> str:
+    share = percent(ratio(left.after, left.before))
+    text = (
+        f"{opening}{joints.torque(left.joint, left.after)} of {joints.torque(left.joint, left.before)}"
+        f" {verb} {clean(left.joint)} ({share})"
+    )
+    parts = []
+    if left.torque > 0.0:
+        parts.append(f"{percent(left.after / left.torque)} of its torque")
+    if left.noise > 0.0:
+        parts.append(f"{number(left.after / left.noise, 2)} times sensor noise")
+    return sentence(f"{text}: {listed(parts)}" if parts else text)
+
+
+def uncovered(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
+    """What is left of balances that no joint's torque error holds: the springs', and joints without motor
+    torques."""
+    counted = {left.joint for left in diagnosis.remaining}
+    return tuple(
+        f"{percent(u.share)} of the {clean(u.balance)} balance's squared error at {clean(u.joint)} is left;"
+        f" it depends most on {joints.signal(u.against)}."
+        for u in diagnosis.unexplained
+        if u.balance == "spring" or u.joint not in counted
+    )
+
+
+# ------------------------------------------------------------------ is it this law?
+def _law(diagnosis: Result) -> tuple[str, ...]:
+    tied = ties(diagnosis)
+    if not tied and likely(diagnosis):
+        tied = ("No other effect of the catalogue explains this recording as well.",)
+    return (*tied, *_next(diagnosis))
+
+
+def _next(diagnosis: Result) -> tuple[str, ...]:
+    text = diagnosis.next_experiment.strip()
+    if not text:
+        return ()
+    if text[1:2].islower():  # an ordinary word
+        text = text[0].lower() + text[1:]
+    return (sentence(f"Next experiment: {text}"),)
+
+
+# ------------------------------------------------------------------ healthy, nothing named, refused
+def _healthy(diagnosis: Result, gain: Gain | None) -> tuple[str, ...]:
+    first = "The simulation agrees with the recording within the noise and the model's own tolerance."
+    total = merit.overall(gain)
+    if gain is None or total is None:
+        return first, sentence(capital(diagnosis.reason))
+    return first, f"{_departs(gain, total)}."
+
+
+def _error_stays(gain: Gain | None) -> tuple[str, ...]:
+    total = merit.overall(gain)
+    if gain is None or total is None:
+        return ()
+    return (f"{_departs(gain, total)}, and nothing that was tried removes it.",)
+
+
+def _departs(gain: Gain, total: merit.Overall) -> str:
+    floor = "" if math.isnan(total.floor) else f" (sensor noise alone: {percent(total.floor)})"
+    return (
+        f"Restarted from the measured state every {gain.horizon:g} s, the simulation departs by"
+        f" {percent(total.before)} of the signals' standard deviation{floor}"
+    )
+
+
+def _refused(diagnosis: Result) -> tuple[str, ...]:
+    first = sentence(f"This recording cannot carry a verdict: {diagnosis.reason}")
+    second = "Nothing is claimed about the simulation, neither that it is right nor that it is wrong."
+    todo = sentence(capital(diagnosis.next_experiment))
+    return (first, second, f"What to do: {todo}") if todo else (first, second)

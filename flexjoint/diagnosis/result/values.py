@@ -1,0 +1,295 @@
+"""What a diagnosis holds: frozen values, and their JSON form (docs/formats.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from flexjoint.effects import Planned
+
+Verdict = Literal["causes", "healthy", "unexplained", "refused"]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted number with its standard error, both in `unit`."""
+
+    value: float | tuple[float, ...]
+    std: float | tuple[float, ...]
+    unit: str
+    at_bound: bool = False
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Another cause that would explain the same, and why the data cannot decide."""
+
+    effect: str
+    joint: str | None
+    why: str
+
+
+@dataclass(frozen=True)
+class Removed:
+    """What a cause removes on data that the fit did not see, in the balance that it clears most [N m, RMS]:
+    the error of the extended model without it, all other numbers kept, and with it."""
+
+    joint: str
+    balance: str  # motor | link | spring
+    without: float
+    left: float
+    structured: float  # of what is left: what a smooth law of one signal would remove as well
+    against: str  # that signal
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """The torque error of one joint [N m, RMS], on data that the fit did not see: measured motor torque minus
+    what the model needs for the measured motion. `after` has the causes at work and the nominal numbers where
+    their tolerances let them be."""
+
+    joint: str
+    torque: float  # of the joint itself
+    before: float
+    after: float
+    noise: float  # what the sensors' noise alone would leave
+    structured: float  # of `after`: what a smooth law of one signal would remove
+    against: str  # that signal
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A named cause. `planned` is the effect as the extended model holds it; where the nominal model lists
+    the same effect, `parameters` give the change and `planned` the total."""
+
+    effect: str
+    joint: str | None
+    probability: float
+    parameters: Mapping[str, Fitted | str]
+    since: float | None
+    gain: float  # share of the held-out error that it removes
+    kind: str
+    planned: Planned
+    indistinguishable: tuple[Tie, ...] = ()
+    members: tuple[Planned, ...] = ()  # of a cause that joints share: the effect on each of them
+    hidden_by_refit: bool = False  # a refit of the nominal numbers would absorb most of it
+    note: str = ""
+    left: float = 1.0  # largest variance left in the balances that it touches, in that of the noise
+    reliability: float = 1.0  # how often names that leave so much were right; part of `probability`
+    removed: Removed | None = None
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """Error that no cause of the catalogue accounts for."""
+
+    joint: str
+    balance: str  # motor | link | spring
+    share: float  # of this balance's error
+    against: str  # the signal it depends on most
+
+
+@dataclass(frozen=True)
+class WithinTolerance:
+    """A deviation that the nominal model's own tolerance covers."""
+
+    effect: str
+    joint: str | None
+    value: float
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate as scored alone: the share of the nominal error that it removes on held-out blocks."""
+
+    effect: str
+    joint: str | None
+    removes: float
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ResidualView:
+    """One balance of one joint [N m], before and after the extension, with what it may depend on (N,)."""
+
+    joint: str
+    balance: str
+    time: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    noise: float  # predicted standard deviation
+    signals: Mapping[str, np.ndarray]  # q, dtheta, tau_t, ... each (N,)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Simulation against recording on data that the fit did not see: RMS and NRMSE per channel."""
+
+    held_out: bool
+    horizon: float
+    before: Mapping[str, Mapping[str, float]]  # {"rms": {...}, "nrmse": {...}}
+    after: Mapping[str, Mapping[str, float]]
+    noise_floor: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """How the numbers of the findings were found, and how they hang together.
+
+    `method` is output_error (refined on the simulation itself) or balances, `why` says why not refined.
+    `parameters` are named effect.joint.parameter, [k] for the entries of a position; `correlation` (p, p) is
+    that of their errors.
+    """
+
+    method: Literal["output_error", "balances"]
+    why: str
+    parameters: tuple[str, ...]
+    correlation: np.ndarray
+    at_bounds: tuple[tuple[str, str], ...] = ()  # (parameter, lower | upper)
+    seconds: float = 0.0  # length of the windows that were simulated
+    level: float = 1.0  # squared residual per degree of freedom, in those of the sensors' noise, at least 1
+    follows: bool = False  # whether the simulation follows the readings to the sensors' noise
+
+    def tight(self, above: float) -> tuple[tuple[str, str, float], ...]:
+        """Pairs of parameters whose errors are correlated by more than a size, the tightest first."""
+        pairs = [
+            (self.parameters[i], self.parameters[j], float(self.correlation[i, j]))
+            for i in range(len(self.parameters))
+            for j in range(i)
+        ]
+        return tuple(sorted((p for p in pairs if abs(p[2]) > above), key=lambda p: -abs(p[2])))
+
+
+Action = Literal["added", "dropped", "replaced", "exchanged", "merged", "kept"]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A change of the set of causes, or that one of them was kept in the end."""
+
+    stage: str  # search | recordings | balances | simulation | robust search | findings | verdict
+    action: Action
+    effect: str
+    joint: str | None
+    by: tuple[str, str | None] | None  # effect and joint that took its place
+    check: str  # what asked for it
+    # energy (chi-square) that a step of the search gains at the noise level after it; of a check, the number
+    # that it compares with its limit; of a cause that is kept, its probability
+    evidence: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """The values of a `Diagnosis`, which adds what one does with them."""
+
+    verdict: Verdict
+    reason: str  # one sentence: why this verdict
+    findings: tuple[Finding, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    remaining: tuple[Remaining, ...] = ()
+    not_excited: tuple[tuple[str, str | None], ...] = ()
+    within_tolerance: tuple[WithinTolerance, ...] = ()
+    comparison: Gain | None = None
+    next_experiment: str = ""
+    ranking: tuple[Ranked, ...] = ()
+    residuals: tuple[ResidualView, ...] = ()
+    explained: float = 0.0  # share of the excess error energy that the findings remove
+    energy: tuple[float, float] = (1.0, 1.0)  # whitened residual energy per sample before, after; 1 = noise
+    notes: tuple[str, ...] = ()
+    estimation: Estimation | None = None  # None without findings
+    trace: tuple[Step, ...] = ()  # how the set of causes came about, step by step
+    robot: str = ""  # its name
+    prismatic: frozenset[str] = frozenset()  # joints that slide: their numbers are in m and N
+    rigid: bool = False  # whether no joint has a spring
+
+
+def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
+    """The fixed JSON form, schema 1; `model` is the extended YAML's name."""
+    comparison = diagnosis.comparison
+    return {
+        "schema": 1,
+        "verdict": diagnosis.verdict,
+        "reason": diagnosis.reason,
+        "findings": [_finding(f) for f in diagnosis.findings],
+        "unexplained": [
+            {"joint": u.joint, "balance": u.balance, "share": u.share, "against": u.against}
+            for u in diagnosis.unexplained
+        ],
+        "remaining": [asdict(r) for r in diagnosis.remaining],
+        "not_excited": [{"effect": effect, "joint": joint} for effect, joint in diagnosis.not_excited],
+        "within_tolerance": [
+            {"effect": w.effect, "joint": w.joint, "value": w.value} for w in diagnosis.within_tolerance
+        ],
+        "comparison": None
+        if comparison is None
+        else {
+            "held_out": comparison.held_out,
+            "horizon": comparison.horizon,
+            "before": comparison.before,
+            "after": comparison.after,
+            "noise_floor": comparison.noise_floor,
+        },
+        "next_experiment": diagnosis.next_experiment,
+        "model": model,
+        "notes": list(diagnosis.notes),
+        "estimation": None if diagnosis.estimation is None else _estimation(diagnosis.estimation),
+        "trace": [_step(step) for step in diagnosis.trace],
+    }
+
+
+def _step(step: Step) -> dict[str, Any]:
+    return {
+        "stage": step.stage,
+        "action": step.action,
+        "effect": step.effect,
+        "joint": step.joint,
+        "by": None if step.by is None else {"effect": step.by[0], "joint": step.by[1]},
+        "check": step.check,
+        "evidence": step.evidence,
+        "text": step.text,
+    }
+
+
+def _estimation(estimation: Estimation) -> dict[str, Any]:
+    return {
+        "method": estimation.method,
+        "why": estimation.why,
+        "window": estimation.seconds,
+        "level": estimation.level,
+        "parameters": list(estimation.parameters),
+        "correlation": np.asarray(estimation.correlation).round(4).tolist(),
+        "at_bounds": [{"parameter": name, "bound": bound} for name, bound in estimation.at_bounds],
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    parameters: dict[str, Any] = {}
+    for name, fitted in finding.parameters.items():
+        if isinstance(fitted, str):
+            parameters[name] = fitted
+        else:
+            parameters[name] = {"value": _plain(fitted.value), "std": _plain(fitted.std), "unit": fitted.unit}
+    return {
+        "effect": finding.effect,
+        "joint": finding.joint,
+        "probability": finding.probability,
+        "parameters": parameters,
+        "since": finding.since,
+        "gain": finding.gain,
+        "kind": finding.kind,
+        "hidden_by_refit": finding.hidden_by_refit,
+        "note": finding.note,
+        "left": finding.left,
+        "removed": None if finding.removed is None else asdict(finding.removed),
+        "indistinguishable": [
+            {"effect": t.effect, "joint": t.joint, "why": t.why} for t in finding.indistinguishable
+        ],
+    }
+
+
+def _plain(value: float | tuple[float, ...]) -> float | list[float]:
+    return [float(v) for v in value] if isinstance(value, tuple) else float(value)

@@ -1,0 +1,308 @@
+"""Every effect on every joint it can sit on, and the first-order trace that each would leave."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, acts_within_a_joint
+from flexjoint.diagnosis.regression.whitening import Band, Whitening
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.settings import SearchSettings
+from flexjoint.effects import Effect, Parameter, Planned, Site, catalogue
+
+UNSEEN = 1e-12  # of the largest curvature: rounding
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect on a joint (None: the robot), with its words chosen."""
+
+    effect: Effect
+    joint: str | None
+    words: tuple[tuple[str, str | None], ...] = ()
+
+    @property
+    def key(self) -> tuple[str, str | None]:
+        return self.effect.name, self.joint
+
+    def planned(self, values: Mapping[str, Any], since: float | None = None) -> Planned:
+        full = {p.name: p.value if p.size == 1 else (p.value,) * p.size for p in self.effect.params}
+        return Planned(self.effect, self.joint, {**full, **dict(self.words), **values}, since)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A candidate at one start: columns before they are whitened, and how amplitudes become values."""
+
+    candidate: Candidate
+    start: Mapping[str, Any]
+    bands: tuple[Band, ...]
+    whitening: Whitening
+    kind: str  # amplitudes | whole | phase
+    trial: Mapping[str, float]
+    origin: Mapping[str, float]  # values at amplitude 0: null, or what the nominal model lists
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """(k, samples) whitened."""
+        return np.array([self.whitening.white(band).ravel() for band in self.bands])
+
+    def values(self, amplitude: np.ndarray) -> dict[str, Any]:
+        """Parameter values for fitted amplitudes of the columns, clipped into the bounds."""
+        effect = self.candidate.effect
+        out: dict[str, Any] = dict(self.start)
+        if self.kind == "whole":
+            # a limit's start is kept, and the line that it is part of, not scaled
+            scale = 1.0 if _is_limit(effect) else float(np.clip(amplitude[0], 0.1, 10.0))
+            for name, size in self.trial.items():
+                out[name] = self.origin[name] + scale * (size - self.origin[name])
+        elif self.kind == "phase":
+            size, angle = np.hypot(*amplitude), np.arctan2(amplitude[1], amplitude[0])
+            for param in effect.params:
+                if param.wraps:
+                    out[param.name] = float(angle)
+                elif param.name in self.trial:
+                    out[param.name] = float(size) * self.trial[param.name]
+        else:
+            for name, size in zip(self.trial, amplitude, strict=True):
+                out[name] = self.origin[name] + float(size) * self.trial[name]
+        return {p.name: _clip(p, out[p.name]) for p in effect.params if p.name in out}
+
+
+def _clip(param: Parameter, value: Any) -> Any:
+    if param.size > 1:
+        return tuple(float(np.clip(v, param.low, param.high)) for v in value)
+    return float(np.clip(value, param.low, param.high))
+
+
+def enumerate_candidates(workspace: Workspace, excluded: frozenset[str] = frozenset()) -> list[Candidate]:
+    """All candidates that the sensors of this recording could show; `excluded` effects are left out."""
+    out = []
+    for effect in catalogue().values():
+        if effect.name in excluded:
+            continue
+        choices = [[(w.name, c) for c in w.choices] for w in effect.words]
+        joints: Sequence[str | None] = [None] if effect.whole_robot else workspace.robot.joint_names
+        for joint in joints:
+            for words in itertools.product(*choices):
+                candidate = Candidate(effect, joint, tuple(words))
+                if visible(workspace, candidate):
+                    out.append(candidate)
+    return out
+
+
+def visible(workspace: Workspace, candidate: Candidate) -> bool:
+    """Whether the effect acts on something that this recording balances or measures."""
+    effect, joint = candidate.effect, candidate.joint
+    if joint is None:
+        return True
+    i = workspace.robot.joint_names.index(joint)
+    rigid = workspace.robot.joints[i].rigid
+    rows = {row.balance for row in workspace.balances.rows if row.joint == i}
+    if effect.site is Site.SENSOR:
+        return _sensed(workspace, candidate, i, rows)
+    met = not workspace.readings.commanded[i] and _is_limit(effect)  # a measured torque has met all limits
+    shown = {
+        Site.COMMAND: MOTOR in rows and not met,
+        Site.MOTOR: MOTOR in rows,
+        Site.DEFLECTION: not rigid,
+        Site.SPRING: not rigid,
+        Site.LINK: LINK in rows or (rigid and MOTOR in rows),
+        Site.BODY: LINK in rows or (rigid and MOTOR in rows),
+    }
+    return shown[effect.site] and not (rigid and (effect.needs_spring or effect.on_rigid))
+
+
+def _is_limit(effect: Effect) -> bool:
+    """Whether an effect is a limit: absent where that is far beyond its usual size."""
+    return any(p.null is not None and p.null > p.value for p in effect.nulls)
+
+
+def _sensed(workspace: Workspace, candidate: Candidate, i: int, rows: set[str]) -> bool:
+    readings = {
+        "q": bool(np.isfinite(workspace.readings.q[i, 0])),
+        "theta": bool(np.isfinite(workspace.readings.theta[i, 0])),
+        "tau_t": SPRING in rows,
+    }
+    if not _moves(workspace, i) and (
+        candidate.effect.overrides("delay") or any(p.wraps for p in candidate.effect.params)
+    ):
+        return False
+    concerned = [c for c in candidate.effect.channels(candidate.planned({}).p) if c in readings]
+    if candidate.words and len(concerned) > 1:  # "all of the joint" needs more than one sensor to differ
+        return sum(readings[c] for c in concerned) > 1
+    return any(readings[c] for c in concerned)
+
+
+def may_replace(candidate: Candidate, e: Planned) -> bool:
+    """Whether a candidate could leave the marks of an effect: one that acts within a joint marks the balances
+    of that joint alone, and only what acts there, or through the bodies, does so too."""
+    if not acts_within_a_joint(e):
+        return True
+    return candidate.joint in (e.joint, None) or candidate.effect.site is Site.BODY
+
+
+def _moves(workspace: Workspace, i: int) -> bool:
+    """Whether a joint's position changes by more than its sensors' noise."""
+    used, noise = workspace.readings.valid, workspace.readings.noise
+    return any(
+        float(np.ptp(signal[i][used])) > workspace.settings.balances.still * max(float(noise[name][i]), 1e-9)
+        for name, signal in (("q", workspace.motion.q), ("theta", workspace.motion.theta))
+    )
+
+
+def traces(
+    workspace: Workspace, candidate: Candidate, base: Sequence[Planned], y: np.ndarray
+) -> Iterator[Trace]:
+    """First-order traces of a candidate on top of `base`, whose whitened residual is y, one per start."""
+    effect = candidate.effect
+    if effect.site is Site.BODY and effect.overrides("edit_inertial"):
+        yield from load_traces(workspace, candidate, y)
+        return
+    listed = next((e for e in base if e.key == candidate.key), None)
+    phase = [p.name for p in effect.params if p.wraps]
+    starts: Sequence[Mapping[str, Any]] = workspace.starts(effect, candidate.joint)
+    if listed is not None:
+        starts = [{p.name: listed.values[p.name] for p in effect.params if p.null is None}]
+    seen: set[tuple[tuple[str, Any], ...]] = set()
+    for start in starts:
+        kept = {k: v for k, v in start.items() if k not in phase}
+        key = tuple(sorted(kept.items()))
+        if key not in seen:
+            seen.add(key)
+            yield _trace(workspace, candidate, base, kept, phase, listed)
+
+
+def _trace(
+    workspace: Workspace,
+    candidate: Candidate,
+    base: Sequence[Planned],
+    start: dict[str, Any],
+    phase: list[str],
+    listed: Planned | None,
+) -> Trace:
+    effect = candidate.effect
+    given = [p.name for p in effect.nulls if p.name in start]
+    without = [e for e in base if e.key != candidate.key]
+    origin: dict[str, float] = {
+        p.name: float(p.null or 0.0) if listed is None else float(listed.values[p.name]) for p in effect.nulls
+    }
+
+    # between two noises that are moved apart lies a smaller one, which is no trace of a delay
+    moved = workspace.calmly_moved_band if effect.overrides("delay") else workspace.moved_band
+
+    def column(values: Mapping[str, Any]) -> Band:
+        return moved(base, [*without, candidate.planned(values)])
+
+    white = workspace.whitening
+
+    if given:
+        trial = {name: start[name] for name in given}
+        return Trace(candidate, start, (column(start),), white, "whole", trial, origin)
+    trial = {p.name: trial_size(workspace, candidate, p) for p in effect.nulls if p.name not in phase}
+    if phase:
+        bands = tuple(column({**start, **trial, phase[0]: a}) for a in (0.0, 0.5 * np.pi))
+        return Trace(candidate, start, bands, white, "phase", trial, origin)
+    bands = tuple(column({**start, **origin, name: origin[name] + trial[name]}) for name in trial)
+    return Trace(candidate, start, bands, white, "amplitudes", trial, origin)
+
+
+def trial_size(workspace: Workspace, candidate: Candidate, param: Parameter) -> float:
+    """A size at which the effect is well visible and still small: by the unit of its parameter."""
+    limits = workspace.settings.search
+    scale = 1.0
+    if candidate.joint is not None:
+        i = workspace.robot.joint_names.index(candidate.joint)
+        scale = float(workspace.torque_scale[i])
+        signals = workspace.signals(candidate.joint)
+        travel, speed = float(np.std(signals.q)) + 1e-6, float(np.std(signals.dtheta)) + 1e-6
+    else:
+        travel = speed = 1.0
+    stiff = 1.0
+    if candidate.joint is not None and np.isfinite(workspace.robot.joints[i].drive.K):
+        stiff = workspace.robot.joints[i].drive.K
+    by_unit = {
+        "N m": limits.trial_share * scale,
+        "N m s/rad": limits.trial_share * scale / speed,
+        "N m s^2/rad^2": limits.trial_share * scale / speed**2,
+        "N m/rad": limits.trial_share * scale / travel,
+        "N m/rad^3": limits.trial_share * scale / (scale / stiff) ** 3,
+        "rad": limits.trial_share * scale / stiff if candidate.joint is not None else 0.01,
+        "s": 1e-3,
+        "": limits.trial_share,
+        "1": limits.trial_share,
+    }
+    return float(np.clip(by_unit.get(param.unit, param.value), param.low, param.high))
+
+
+def load_traces(workspace: Workspace, candidate: Candidate, y: np.ndarray) -> Iterator[Trace]:
+    """A change of a link's inertial parameters, as the whole recording shows it and as later parts do: the
+    residual is linear in the ten of them, so that the effect's own few parameters are found on a quadratic
+    form, without touching the signals again."""
+    assert candidate.joint is not None
+    i = workspace.robot.joint_names.index(candidate.joint)
+    white, time = workspace.whitening, workspace.time
+    moments = np.stack([white.white(workspace.inertial_band(i, unit)) for unit in np.eye(10)])
+    own = float(workspace.motion.rigid.inertial[i, 0]) or 1.0
+    reach = float(np.linalg.norm(workspace.motion.rigid.inertial[i, 1:4])) / own
+    amplitude, shape = _load_params(candidate.effect)
+    for share in workspace.settings.search.later:
+        later = time >= time[0] + share * (time[-1] - time[0])
+        form = workspace.normal((moments * later).reshape(10, -1), y)
+        mass, *place = _load(candidate, *form, own, reach, workspace.settings.search)
+        mass = float(np.clip(mass, amplitude.low, amplitude.high))
+        values = {amplitude.name: mass, shape.name: tuple(place)}
+        band = workspace.inertial_band(i, _inertial(candidate, np.array([mass, *place])))
+        yield Trace(candidate, values, (band,), white, "whole", {amplitude.name: mass}, {amplitude.name: 0.0})
+
+
+def _load_params(effect: Effect) -> tuple[Parameter, Parameter]:
+    """The parameters of a load's size and place."""
+    return effect.nulls[0], next(p for p in effect.params if p.size > 1)
+
+
+def _inertial(candidate: Candidate, load: np.ndarray) -> np.ndarray:
+    """(10, ...) inertial parameters of loads (4, ...): mass and place."""
+    amplitude, shape = _load_params(candidate.effect)
+    p = candidate.planned({}).p._replace(**{amplitude.name: load[0], shape.name: tuple(load[1:])})
+    return np.array(candidate.effect.edit_inertial([0.0 * load[0]] * 10, p))
+
+
+def _load(
+    candidate: Candidate,
+    curvature: np.ndarray,
+    slope: np.ndarray,
+    own: float,
+    reach: float,
+    settings: SearchSettings,
+) -> list[float]:
+    """Mass and place at which 2 slope pi + pi curvature pi is least, of a link of mass `own` whose centre is
+    at a distance `reach`; weak priors keep them near it."""
+    # as a sum of squares, a constant aside; what is not seen has no part in it
+    seen, axes = np.linalg.eigh(curvature)
+    root = np.sqrt(seen[seen > UNSEEN * seen[-1]])
+    rows = root[:, None] * axes[:, -root.size :].T
+    target = axes[:, -root.size :].T @ slope / root
+    spread = np.array([settings.heavy * own, *3 * [settings.reach]])
+
+    def misfit(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([rows @ _inertial(candidate, x) + target, x / spread])
+
+    def change(x: np.ndarray) -> np.ndarray:  # by complex steps, exact: the law is a polynomial
+        steps = _inertial(candidate, x[:, None] + 1e-20j * np.eye(4)).imag / 1e-20
+        return np.concatenate([rows @ steps, np.diag(1.0 / spread)])
+
+    best, least = np.zeros(4), np.inf
+    for axis in np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))]):
+        start = np.concatenate([[0.2 * own], (reach + 0.1) * axis])
+        found = least_squares(misfit, start, change, method="lm", x_scale="jac", max_nfev=300)
+        if found.cost < least:
+            best, least = found.x, float(found.cost)
+    return [float(v) for v in best]

@@ -1,0 +1,265 @@
+"""Robust search where errors are left unexplained: on real machines many things are wrong at once.
+
+The first look judges every balance at one level, which a single implausible nominal number raises for all of
+them, and both balances of a stiff joint rest on its link encoder: 0.1 mrad off times 5e6 N m/rad
+is more torque than most causes have. Here
+
+- what a joint's spring balance is off by counts as error of its link encoder: the sum of motor and link
+  balance, which needs no spring, then carries the weight;
+- which is done for joints whose link encoder and spring disagree by far more than the encoder's noise;
+- an implausible nominal number raises the level of its own joint's balances only;
+- dry friction at rest holds no more than its level;
+- and a cause is taken on the evidence of the simulation: it must lower the error of its own joint clearly,
+  with numbers that come from the balances. A wrong cause that makes a balance small does not do that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flexjoint.core.errors import FlexJointError
+from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
+from flexjoint.diagnosis.balances.motion import reconstruct
+from flexjoint.diagnosis.comparison.compare import HORIZON, compare
+from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.search.candidates import Candidate
+from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, worthwhile
+from flexjoint.diagnosis.search.scan import Scanner
+from flexjoint.diagnosis.search.selection import Selection
+from flexjoint.diagnosis.search.trials import on_all_joints
+from flexjoint.diagnosis.signals.signals import denoised
+from flexjoint.effects import Planned, Site
+from flexjoint.recording.table import Recording
+from flexjoint.robot.robot import Robot
+
+Progress = Callable[[float, str], None]
+
+
+class JointwiseWorkspace(Workspace):
+    """A workspace in which implausible nominal numbers raise the level of their own joint's balances only."""
+
+    def __init__(self, balances: TwinBalances, deviation: np.ndarray) -> None:
+        self._deviation = deviation
+        super().__init__(balances)
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(rows,) standard deviation that the sensors' own noise has in each balance [N m]: what is left is
+        reported against that."""
+        return self._deviation
+
+    def tempered(self, y: np.ndarray) -> Workspace:
+        """As `Workspace.tempered`, joint by joint."""
+        base, strain = self.settled(y).temper, np.ones_like(self.temper)
+        here = self.at(base)
+        rows = np.array([row.joint for row in self.balances.rows])
+        owner = np.array(
+            [-1 if n.joint is None else self.robot.joint_names.index(n.joint) for n in self.nuisance]
+        )
+        while True:
+            far = np.abs(here.deviations(y))
+            full = [
+                j
+                for j in range(len(self.robot.joints))
+                if np.max(strain[rows == j], initial=0.0) >= self.settings.robust_search.most_inflation
+            ]
+            far[(owner < 0) | np.isin(owner, full) | ~np.isin(owner, rows)] = 0.0
+            if not far.size or np.max(far) <= self.settings.regression.plausible:
+                break
+            strain[rows == owner[np.argmax(far)]] *= 2.0
+            here = here.at(base * strain, float(np.max(strain)))
+        return here.at(np.maximum(here.temper, here.levels(y)), float(np.max(strain)))
+
+
+@dataclass(frozen=True)
+class RobustFinding:
+    """The selection with what the robust search found, in the workspace it was found in."""
+
+    workspace: Workspace
+    selection: Selection
+    notes: tuple[str, ...]
+
+
+def search_robustly(
+    robot: Robot,
+    recording: Recording,
+    workspace: Workspace,
+    selection: Selection,
+    candidates: Sequence[Candidate],
+    report: Progress,
+) -> RobustFinding | None:
+    """Causes that the simulation confirms where the first look left errors unexplained; None: no more than
+    there were, or the recording cannot drive a simulation."""
+    here = _workspace(robot, recording, workspace, selection.best)
+    # elsewhere the first look had all that there is
+    usual = workspace.settings.robust_search.disagreeing * workspace.readings.noise["q"]
+    denied = np.flatnonzero(here.readings.noise["q"] > usual).tolist()
+    if not denied:
+        return None
+    look = _Look(robot, recording, here, candidates)
+    best = _still_earning(at_own_level(fit(here, selection.best.effects)))
+    before = look.errors(best.effects)
+    if before is None:
+        return None
+    rivals: dict[tuple[str, str | None], tuple[Fit, ...]] = {}
+    for k in denied:
+        report(k / len(robot.joints), f"looking again at {robot.joint_names[k]}")
+        found = look.best_of(best, before, k)
+        if found is None:
+            continue
+        best, before, others = found
+        rivals[best.effects[-1].key] = others
+        beside = look.beside(best, before, k)
+        if beside is not None:
+            best, before = beside
+            rivals[best.effects[-1].key] = ()
+    if not rivals:
+        return None
+    best = _on_all_joints(best, candidates)
+    found_first = dict(zip((e.key for e in selection.best.effects), selection.rivals, strict=False))
+    together = tuple(rivals.get(e.key, found_first.get(e.key, ())) for e in best.effects)
+    nothing = at_own_level(fit(here, []))
+    note = "the balances alone did not decide: " + ", ".join(str(e) for e in best.effects if e.key in rivals)
+    note += " named because the simulation of the joint needs it"
+    return RobustFinding(here, replace(selection, best=best, nothing=nothing, rivals=together), (note,))
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A set with a cause of one joint, and what that does to the joint."""
+
+    fit: Fit
+    errors: np.ndarray  # (n,) of the simulation
+    lowers: float  # the joint's error in the simulation, by this factor
+    cleared: float  # the variance left in its balances, by this one
+
+
+class _Look:
+    """Tries the candidates of one joint after the other."""
+
+    def __init__(
+        self, robot: Robot, recording: Recording, workspace: Workspace, candidates: Sequence[Candidate]
+    ) -> None:
+        self.robot, self.recording, self.workspace = robot, recording, workspace
+        # what a sensor shows changes no motion: the simulation cannot speak for it
+        self.candidates = [c for c in candidates if c.joint is not None and c.effect.site is not Site.SENSOR]
+
+    def errors(self, effects: Sequence[Planned]) -> np.ndarray | None:
+        """(n,) mean NRMSE of each joint's simulated positions; None: it cannot be simulated."""
+        try:
+            run = compare(self.robot.extended(effects), self.recording, horizon=HORIZON)
+        except FlexJointError:
+            return None
+        sizes = [
+            [run.nrmse[key] for key in (f"q.{joint}", f"theta.{joint}") if key in run.nrmse]
+            for joint in self.robot.joint_names
+        ]
+        return np.array([np.mean(size) if size else np.nan for size in sizes])
+
+    def cleared(self, best: Fit, trial: Fit, k: int) -> float:
+        """Factor in variance by which a set leaves less in the balances of joint k."""
+        rows = np.array([row.joint == k for row in self.workspace.balances.rows])
+        before, after = (self.workspace.settled(f.y).temper[rows] for f in (best, trial))
+        wrong = before > best.settings.search.wrong
+        return float(np.exp(np.mean(np.log(before[wrong] / after[wrong])))) if np.any(wrong) else 1.0
+
+    def best_of(
+        self, best: Fit, before: np.ndarray, k: int
+    ) -> tuple[Fit, np.ndarray, tuple[Fit, ...]] | None:
+        """The set with the cause of joint k that lowers its simulated error most, the errors then, and the
+        other sets that do so clearly. Of causes that the simulation does not clearly tell apart, it is the
+        one that leaves least in the balances."""
+        limits = best.settings.robust_search
+        own = [c for c in self.candidates if c.joint == self.robot.joint_names[k]]
+        # an onset is sought over the whole record: by chance one fits something small
+        scanned = [s for s in Scanner(own).scan(best) if s.removes >= limits.promising and s.since is None]
+        found: list[_Tried] = []
+        for scored in scanned[: limits.tried]:
+            trial = at_own_level(fit(best.workspace, [*best.effects, scored.planned()]))
+            if degenerate(trial.workspace, trial.effects[-1]):
+                continue
+            cleared = self.cleared(best, trial, k)
+            if cleared < limits.cleared:
+                continue
+            errors = self.errors(trial.effects)
+            if errors is None or np.any(errors > limits.disturbed * before):
+                continue
+            if before[k] >= limits.lowered * errors[k]:
+                found.append(_Tried(trial, errors, float(before[k] / errors[k]), cleared))
+        if not found:
+            return None
+        most = max(one.lowers for one in found)
+        chosen = max(
+            (one for one in found if limits.lowered * one.lowers >= most), key=lambda one: one.cleared
+        )
+        others = sorted((one for one in found if one is not chosen), key=lambda one: -one.lowers)
+        return chosen.fit, chosen.errors, tuple(fit(chosen.fit.workspace, one.fit.effects) for one in others)
+
+    def beside(self, best: Fit, before: np.ndarray, k: int) -> tuple[Fit, np.ndarray] | None:
+        """Where a dry friction was found: the set with the joint's nominal one set free, too, and the errors
+        then, if the simulation needs that. Two dry frictions of a joint are known only together."""
+        limits = best.settings.robust_search
+        added = best.effects[-1]
+        nominal = [
+            e for e in self.workspace.nominal if e.joint == added.joint and e.effect.overrides("level")
+        ]
+        if not added.effect.overrides("level") or len(nominal) != 1 or nominal[0].key == added.key:
+            return None
+        trial = at_own_level(fit(best.workspace, [*best.effects, nominal[0]]))
+        errors = self.errors(trial.effects)
+        if errors is None or before[k] < limits.lowered_beside * errors[k]:
+            return None
+        if np.any(errors > limits.disturbed * before):
+            return None
+        return trial, errors
+
+
+def _still_earning(best: Fit) -> Fit:
+    """The first look's set without what was named on the word of a link encoder that is not trusted here."""
+    for planned in best.effects:
+        without = fit(best.workspace, [e for e in best.effects if e is not planned])
+        if len(best.effects) > 1 and not worthwhile(best, without, planned):
+            return _still_earning(at_own_level(without))
+    return best
+
+
+def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
+    """The set with what several joints are late by on all of them, where that earns its place now that the
+    other causes are in."""
+    for wider in on_all_joints(best, candidates):
+        settled = at_own_level(wider)
+        added = settled.effects[len(best.effects) :]
+        without = [fit(settled.workspace, [e for e in settled.effects if e is not one]) for one in added]
+        if all(worthwhile(settled, less, one) for less, one in zip(without, added, strict=True)):
+            return _on_all_joints(settled, candidates)
+    return best
+
+
+def _workspace(robot: Robot, recording: Recording, first: Workspace, best: Fit) -> Workspace:
+    """The recording's balances with the link encoders' noise at what the springs' balances are off by."""
+    balances, readings = first.balances, first.readings
+    residual = balances.residual(first.with_nominal(best.effects))
+    noise = np.array(readings.noise["q"], dtype=float)
+    for row, series in zip(balances.rows, balances.time_series(residual), strict=True):
+        joint = robot.joints[row.joint]
+        if row.balance == MOTOR and not joint.rigid and np.isfinite(readings.q[row.joint, 0]):
+            off = float(np.std(series[readings.valid])) / joint.drive.K
+            noise[row.joint] = max(noise[row.joint], off)
+    usual = readings.settings
+    resting = replace(  # before a real joint slides it creeps
+        usual.balances,
+        most_at_rest=usual.robust_search.most_at_rest,
+        least_rest_speed=usual.balances.rest_speed,
+    )
+    blunt = replace(readings, noise={**readings.noise, "q": noise}, settings=replace(usual, balances=resting))
+    # an error that is no noise is not to be filtered out of what holds a body
+    twins = TwinBalances(
+        reconstruct(robot, blunt, recording),
+        reconstruct(robot, denoised(blunt), recording),
+        denoised_rest=False,
+    )
+    return JointwiseWorkspace(twins, first.deviation)

@@ -1,0 +1,289 @@
+"""Which set of effects explains the recording: scan, fit the best, add, exchange, prune, date. What an effect
+must be to enter is said in criteria.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from flexjoint.core.worker_pool import WorkerPool, worker_pool
+from flexjoint.diagnosis.balances.balances import acts_within_a_joint
+from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.result import Step
+from flexjoint.diagnosis.search.candidates import Candidate
+from flexjoint.diagnosis.search.criteria import (
+    at_own_level,
+    contradicted,
+    degenerate,
+    only_strained,
+    price,
+    score,
+    unexplained_energy,
+    worthwhile,
+)
+from flexjoint.diagnosis.search.history import steps_between
+from flexjoint.diagnosis.search.scan import Scanner, Scored
+from flexjoint.diagnosis.search.trials import (
+    at_noise,
+    beside_rivals,
+    date_onset,
+    larger_sets,
+    on_all_joints,
+    polish,
+    sought_again,
+)
+from flexjoint.effects import Planned, catalogue
+
+STAGE = "search"  # in the trace
+
+Progress = Callable[[float, str], None]
+Key = tuple[str, str | None]  # of an effect on a joint
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The chosen set with its fit, the first scan, and the alternatives to each chosen effect."""
+
+    best: Fit
+    nothing: Fit  # no effect beyond the nominal model
+    scan: tuple[Scored, ...]  # of the nominal model, best start of each candidate
+    last_scan: tuple[Scored, ...]  # of the chosen set: what was looked for beyond it
+    rivals: tuple[tuple[Fit, ...], ...]  # per chosen effect: fits with another in its place, best first
+    explains: Mapping[Key, float] = field(default_factory=dict)  # energy, where it is of several recordings
+    trace: tuple[Step, ...] = ()  # how the set came about
+
+
+@dataclass(frozen=True)
+class Search:
+    """What scans candidates, and the processes that share the work."""
+
+    scanner: Scanner
+    pool: WorkerPool
+
+    def scan(self, current: Fit, replaced: Planned) -> tuple[Scored, ...]:
+        """Candidates for the place of an effect. An angle that is made of the nominal model carries errors of
+        one joint to the others: there it may be any."""
+        blind = bool(current.workspace.motion.missing)
+        return self.scanner.scan(current, self.pool, None if blind else replaced)
+
+
+def select(
+    workspace: Workspace,
+    candidates: Sequence[Candidate],
+    report: Progress,
+    start: Sequence[Planned] = (),
+    workers: int = 1,
+) -> Selection:
+    """Forward selection with full refits, exchanges and pruning; `start` seeds the set. Any number of
+    `workers` (processes) gives the same bits."""
+    scanner = Scanner(candidates)
+    with worker_pool(
+        [*workspace.shared(), *catalogue().values(), *candidates, scanner], workers
+    ) as processes:
+        return _select(workspace, Search(scanner, processes), report, start)
+
+
+def _select(workspace: Workspace, search: Search, report: Progress, start: Sequence[Planned]) -> Selection:
+    nothing = at_own_level(fit(workspace, []))
+    best = at_own_level(fit(workspace, start)) if start else nothing
+    scans: list[tuple[Scored, ...]] = []  # of every set that was looked beyond
+    trace: list[Step] = []
+    seen = {_keys(best)}  # a cause may enter at its own level and not stay at that of the set
+    compared: dict[Key, frozenset[Key]] = {}  # effects with their rivals, and what was beside them then
+    while True:
+        best = _grown(best, search, report, seen, scans, trace)
+        report(0.9, "comparing rival causes")
+        places = [e for e in best.effects if compared.get(e.key) != _neighbours(best, e)]
+        held, (best, rivals) = best, exchange(search, best, places)
+        trace += _exchanged(held, best)
+        compared = {e.key: _neighbours(best, e) for e in best.effects}
+        pairs = beside_rivals(best, rivals, search.scanner.candidates, search.pool)
+        if pairs and len(best.effects) < most_effects(workspace):
+            pair = prune(choose(pairs))
+            if _keys(pair) not in seen:
+                trace += steps_between(
+                    best, pair, STAGE, "pair with a rival", "the pair clears what was wrong"
+                )
+                best = pair
+                seen.add(_keys(best))
+                continue
+        if len(places) < len(best.effects):  # all rivals are to be those of the set that there is in the end
+            held, (best, rivals) = best, exchange(search, best, best.effects)
+            trace += _exchanged(held, best)
+        break
+    first, last = (scans[0], scans[-1]) if scans else ((), ())
+    return Selection(best, nothing, first, last, rivals, trace=tuple(trace))
+
+
+def _grown(
+    best: Fit,
+    search: Search,
+    report: Progress,
+    seen: set[frozenset[Key]],
+    scans: list[tuple[Scored, ...]],
+    trace: list[Step],
+) -> Fit:
+    """The set with causes added one by one, as long as one is better than none; sets that were `seen` are not
+    looked at again."""
+    while len(best.effects) < most_effects(best.workspace):
+        report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
+        bare = at_noise(best)
+        both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
+        scans.append(both[0])
+        found = larger_sets(best, both, bare, search.pool)
+        found = found or on_all_joints(best, search.scanner.candidates)
+        grown = _settled(best, found)
+        if grown is None:
+            break
+        trace += steps_between(best, grown, STAGE, "price", "it explains more than its price")
+        best = prune(grown)
+        why = "beside the others it no longer explains its price"
+        trace += steps_between(grown, best, STAGE, "price", why)
+        if _keys(best) in seen:
+            break
+        seen.add(_keys(best))
+        newest = best.effects[-1]
+        older = [e for e in best.effects if e.joint == newest.joint and e is not newest]
+        held, (best, _) = best, exchange(search, best, older)
+        trace += _exchanged(held, best)
+    return best
+
+
+def _exchanged(before: Fit, after: Fit) -> tuple[Step, ...]:
+    return steps_between(before, after, STAGE, "exchange", "the set with it scores better")
+
+
+def _settled(best: Fit, found: Sequence[Fit]) -> Fit | None:
+    """The best of some sets, at the level that it leaves, or the next one, if there it is better than `best`
+    by implausible numbers alone."""
+    waiting = list(found)
+    while waiting:
+        chosen = choose(waiting)
+        settled = at_own_level(chosen)
+        if not only_strained(settled, best):
+            return settled
+        waiting = [f for f in waiting if f is not chosen]
+    return None
+
+
+def most_effects(workspace: Workspace) -> int:
+    limits = workspace.settings.search
+    return max(limits.most_effects, limits.most_a_joint * len(workspace.robot.joints))
+
+
+def _keys(result: Fit) -> frozenset[Key]:
+    return frozenset(e.key for e in result.effects)
+
+
+def _neighbours(result: Fit, effect: Planned) -> frozenset[Key]:
+    """The effects of a set on which the rivals of one of them depend: where it acts within its joint, those
+    on that joint, and those that act beyond theirs."""
+    own = acts_within_a_joint(effect)
+    return frozenset(
+        e.key for e in result.effects if not own or e.joint == effect.joint or not acts_within_a_joint(e)
+    )
+
+
+def choose(fits: Sequence[Fit]) -> Fit:
+    """The best score; of those that differ by little against what all leave unexplained, or against what
+    filters leave of all that is explained, the plainest."""
+    best = min(fits, key=score)
+    bare = best.workspace.energy(best.workspace.residual([]))
+    close = score(best) + granted([best], bare - best.energy)
+    return min((f for f in fits if score(f) <= close), key=lambda f: (price(f), score(f)))
+
+
+def granted(fits: Sequence[Fit], explained: float) -> float:
+    """Energy by which a plainer set may be worse than the one of these fits (one a recording): little against
+    what they leave unexplained, or against what filters leave of all that is explained."""
+    limits = fits[0].settings.search
+    share = (
+        limits.filtered_reconstructed if any(f.workspace.motion.missing for f in fits) else limits.filtered
+    )
+    return limits.unexplained_share * sum(unexplained_energy(f) for f in fits) + share * max(0.0, explained)
+
+
+def exchange(
+    search: Search, result: Fit, places: Sequence[Planned]
+) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
+    """Try other candidates in the place of some effects; keep what scores better. Also returns, for every
+    effect that stays, the fits with a rival in its place, best first."""
+    rivals: dict[Key, tuple[Fit, ...]] = {}
+    waiting = [e.key for e in places]
+    exchanges = 0  # bounded, so that two equals do not alternate for ever
+    while waiting:
+        key = waiting.pop(0)
+        replaced = next((e for e in result.effects if e.key == key), None)
+        if replaced is None:
+            continue
+        again = sought_again(result, replaced, search.pool)
+        if again is not result:
+            result = at_own_level(again)
+            replaced = next(e for e in result.effects if e.key == key)
+        without = fit(result.workspace, [e for e in result.effects if e is not replaced])
+        needed = without.energy - result.energy
+        tried = polish(without, search.scan(without, replaced), needed, search.pool)
+        fits = [f for f in tried if f.effects[-1].key != key]
+        fits = [f for f in fits if not contradicted(f, without)]
+        fits += [alone for f in fits for alone in containing(f, key[0])]
+        swapped = choose([result, *fits])
+        if swapped is not result and exchanges < result.settings.search.most_exchanges:
+            exchanges += 1
+            settled = at_own_level(swapped)
+            if _still_better(settled, result):
+                result = prune(settled)
+                waiting = [e.key for e in result.effects]
+                continue
+        rivals[key] = tuple(sorted(fits, key=score))
+    return result, tuple(rivals.get(e.key, ()) for e in result.effects)
+
+
+def _still_better(settled: Fit, result: Fit) -> bool:
+    """Whether a set with another effect in it is better than a `result` at its own level, too."""
+    if degenerate(settled.workspace, settled.effects[-1]):
+        return False
+    return choose([fit(settled.workspace, result.effects), settled]) is settled
+
+
+def containing(result: Fit, replaced: str) -> list[Fit]:
+    """Where the last effect of a set contains the `replaced` one as a special case: the set without each
+    other effect of that joint, whose part it may play too (two levels are a Coulomb level and an offset)."""
+    added = result.effects[-1]
+    if replaced not in added.effect.contains:
+        return []
+    beside = [e for e in result.effects[:-1] if e.joint == added.joint]
+    return [fit(result.workspace, [e for e in result.effects if e is not other]) for other in beside]
+
+
+def united(result: Fit) -> Fit:
+    """The set without effects that another one of the same joint contains as a special case, where that one
+    does as well alone."""
+    for wide in result.effects:
+        for narrow in result.effects:
+            if narrow.joint != wide.joint or narrow.effect.name not in wide.effect.contains:
+                continue
+            others = [e for e in result.effects if e is not narrow and e is not wide]
+            for since in dict.fromkeys((wide.since, narrow.since)):
+                alone = date_onset(fit(result.workspace, [*others, replace(wide, since=since)]))
+                if score(alone) < score(result):
+                    return united(alone)
+    return result
+
+
+def prune(result: Fit) -> Fit:
+    """Drop, one by one, the effects that are not worth keeping beside the others."""
+    result = united(result)
+    while len(result.effects) > 1:
+        cheapest: Fit | None = None
+        for dropped in result.effects:
+            without = fit(result.workspace, [e for e in result.effects if e is not dropped])
+            if not worthwhile(result, without, dropped) and (
+                cheapest is None or score(without) < score(cheapest)
+            ):
+                cheapest = without
+        if cheapest is None:
+            return result
+        result = cheapest
+    return result

@@ -1,0 +1,236 @@
+"""Several recordings of one robot: the set of causes that explains all of them with one set of numbers.
+
+Every recording is searched by itself. What they propose, their chosen sets and the rivals of each cause, is
+then fitted to each of them; near its own optimum a recording's residual is linear, so the numbers common to
+all follow (shared_numbers.py), and the set's energy is the sum of what each recording has to say against
+them, with deviations of the nominal numbers that are common to all, too. The price of a set is paid once: a
+cause that only one recording wants must earn it from that one alone, and two that tie in one are parted by
+another. Where the recordings do not agree on the numbers, each may have its own, at their price: that is
+said, those of the first are reported, and the standard errors grow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from flexjoint.diagnosis.regression.fit import Fit, fit, normal_equations
+from flexjoint.diagnosis.regression.shared_numbers import SharedNumbers
+from flexjoint.diagnosis.regression.uncertainty import Errors, certainty
+from flexjoint.diagnosis.search.criteria import degenerate, price, score
+from flexjoint.diagnosis.search.selection import Key, Selection, granted
+from flexjoint.effects import Planned, numbers_beyond
+
+Names = frozenset[tuple[object, ...]]
+
+
+@dataclass(frozen=True)
+class Together:
+    """The common set as the first recording sees it, standard errors of its numbers from all recordings, by
+    effect and parameter, and what is to be said about it."""
+
+    selection: Selection
+    errors: dict[Key, Errors]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """One set of effects fitted to all recordings."""
+
+    effects: tuple[Planned, ...]
+    energy: float
+    fits: tuple[Fit, ...]  # each recording's own optimum
+    normals: tuple[np.ndarray, ...]
+    numbers: np.ndarray  # (slots,) common to all
+    curvature: np.ndarray  # (slots, slots) of the energy in them
+    apart: bool  # the recordings do not agree: each has its own numbers
+
+    @property
+    def price(self) -> float:
+        return price(self.fits[0])
+
+    @property
+    def score(self) -> float:
+        return self.energy + self.price
+
+
+def combine(selections: Sequence[Selection]) -> Together:
+    """The best set for all recordings among those that any of them proposes. Effects that set in during a
+    recording belong to it: those of the first stay with the first."""
+    proposals = _proposals(selections)
+    joints = {key: _fitted(selections, effects) for key, effects in proposals.items()}
+    first = selections[0]
+    best_key = _chosen(first.nothing, joints)
+    best = joints[best_key]
+    dated = tuple(e for e in first.best.effects if e.since is not None)
+    workspace = first.best.workspace
+    lasting = best.fits[0].effects if best.apart else best.effects
+    chosen = fit(workspace, [*lasting, *dated], iterations=0)
+    rivals = tuple(
+        tuple(
+            replace(
+                fit(workspace, [*kept, *dated, _other(kept, joint)], iterations=0),
+                judge=partial(float, chosen.energy + joint.energy - best.energy),
+            )
+            for kept, joint in _with_another(best, best_key, effect, joints)
+        )
+        for effect in best.effects
+    ) + tuple(first.rivals[first.best.effects.index(e)] for e in dated)
+    bare = {e.key: joints.get(best_key - {_identity(e)}) for e in best.effects}
+    selection = replace(
+        first,
+        best=chosen,
+        rivals=tuple(tuple(sorted(r, key=score)) for r in rivals),
+        explains={key: joint.energy - best.energy for key, joint in bare.items() if joint is not None},
+    )
+    return Together(selection, _errors(best), _notes(best))
+
+
+def _chosen(nothing: Fit, joints: Mapping[Names, _Joint]) -> Names:
+    """The best set of which all causes are the robot's (one that a recording wants and the others do not is
+    none), or the plainest of those that differ by what `selection.choose` grants."""
+    ranked = sorted(joints, key=lambda key: joints[key].score)
+    sure = [key for key in ranked if _sure(nothing, joints[key])]
+    best, bare = joints[sure[0]], joints[frozenset()]
+    close = best.score + granted(best.fits, bare.energy - best.energy)
+    return min(
+        (key for key in sure if joints[key].score <= close),
+        key=lambda key: (joints[key].price, joints[key].score),
+    )
+
+
+def _identity(effect: Planned) -> tuple[object, ...]:
+    return (*effect.key, *(effect.values.get(w.name) for w in effect.effect.words))
+
+
+def _proposals(selections: Sequence[Selection]) -> dict[Names, tuple[Planned, ...]]:
+    """Sets by what they hold, with values to start from: nothing, each recording's own set, the union of
+    all, what all share, and every set with a rival in the place of a cause."""
+    out: dict[Names, tuple[Planned, ...]] = {}
+
+    def propose(effects: Sequence[Planned]) -> None:
+        lasting = {_identity(e): e for e in effects if e.since is None}
+        joints = {(e.effect.name, e.joint) for e in lasting.values()}
+        if len(joints) == len(lasting):
+            out.setdefault(frozenset(lasting), tuple(lasting.values()))
+
+    own = [[e for e in s.best.effects if e.since is None] for s in selections]
+    propose([])
+    for effects in own:
+        propose(effects)
+    union = {_identity(e): e for effects in own for e in effects}
+    propose(list(union.values()))
+    propose([e for e in own[0] if all(_identity(e) in {_identity(o) for o in other} for other in own[1:])])
+    found = list(out.values())
+    single = [e for s in selections for r in s.rivals for f in r for e in f.effects[-1:]]
+    for known in found:
+        for effect in known:
+            others = [e for e in known if e is not effect]
+            propose(others)
+            for rival in (*single, *union.values()):
+                if _identity(rival) not in {_identity(e) for e in known}:
+                    propose([*others, rival])
+    return out
+
+
+def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _Joint:
+    fits = [fit(s.best.workspace, effects) for s in selections]
+    normals = [
+        normal_equations(f.workspace, f.tangents, f.y, f.slots, f.effects)[0] if f.slots else np.zeros((0, 0))
+        for f in fits
+    ]
+    slots = fits[0].slots
+    own = [np.array([slot.get(f.effects) for slot in slots]) for f in fits]
+    for k, slot in enumerate(slots):
+        if slot.param.wraps:
+            for numbers in own[1:]:
+                numbers[k] += 2.0 * np.pi * np.round((own[0][k] - numbers[k]) / (2.0 * np.pi))
+    shared = SharedNumbers([f.workspace for f in fits])
+    numbers, curvature = shared.solve(fits, own)
+    common = list(fits[0].effects)
+    for slot, number in zip(slots, numbers, strict=True):
+        slot.put(common, float(np.clip(number, slot.param.low, slot.param.high)))
+    there = [fit(s.best.workspace, common, iterations=0) for s in selections]
+    energy = sum(f.energy for f in there) + shared.surplus([f.y for f in there])
+    apart = sum(f.energy for f in fits) + shared.surplus([f.y for f in fits])
+    apart += selections[0].best.settings.search.price_number * len(slots) * (len(selections) - 1)
+    return _Joint(
+        tuple(common),
+        float(min(energy, apart)),
+        tuple(fits),
+        tuple(normals),
+        numbers,
+        curvature,
+        bool(apart < energy),
+    )
+
+
+def _with_another(
+    best: _Joint, best_key: Names, effect: Planned, joints: dict[Names, _Joint]
+) -> list[tuple[list[Planned], _Joint]]:
+    """The fitted sets that hold another cause in the place of one."""
+    kept = best_key - {_identity(effect)}
+    return [
+        ([e for e in joint.effects if _identity(e) in kept], joint)
+        for key, joint in joints.items()
+        if len(key) == len(best_key) and kept < key and key != best_key
+    ]
+
+
+def _other(kept: Sequence[Planned], joint: _Joint) -> Planned:
+    return next(e for e in joint.effects if e not in kept)
+
+
+def _sure(nothing: Fit, joint: _Joint) -> bool:
+    """Whether the recordings, however they disagree on its size, agree that there is every cause, and by the
+    law that it has: one that contains a simpler law has numbers beyond that one's."""
+    errors, nominal = _errors(joint), replace(nothing, effects=joint.effects)
+    for e in joint.effects:
+        laws = [e.effect.nulls, *(numbers_beyond(e.effect, name) for name in e.effect.contains)]
+        known = [certainty(nominal, e, errors[e.key], numbers) for numbers in laws if numbers]
+        if degenerate(nothing.workspace, e) or min(known) < nothing.settings.search.present:
+            return False
+    return True
+
+
+def _errors(best: _Joint) -> dict[Key, Errors]:
+    """Standard errors from all recordings' curvature, widened where the recordings disagree by more."""
+    out: dict[Key, Errors] = {e.key: {} for e in best.effects}
+    if not len(best.numbers):
+        return out
+    deviation = np.sqrt(np.diag(np.linalg.pinv(best.curvature)))
+    for k, slot in enumerate(best.fits[0].slots):
+        apart = [(slot.get(f.effects) - best.numbers[k]) ** 2 * n[k, k] for f, n in _each(best)]
+        spread = np.sqrt(max(1.0, sum(apart) / max(1, len(apart) - 1)))
+        out[best.effects[slot.effect].key].setdefault(slot.param.name, []).append(
+            float(deviation[k] * spread)
+        )
+    return out
+
+
+def _notes(best: _Joint) -> tuple[str, ...]:
+    count = len(best.fits)
+    notes = [f"causes and numbers common to all {count} recordings"]
+    if best.apart:
+        notes = [f"causes common to all {count} recordings, numbers of the first: the others have others"]
+    disagree = best.fits[0].settings.search.disagree
+    for k, slot in enumerate(best.fits[0].slots):
+        own = [slot.get(f.effects) for f in best.fits]
+        apart = [
+            abs(x - best.numbers[k]) * np.sqrt(n[k, k]) for x, (_, n) in zip(own, _each(best), strict=True)
+        ]
+        shown = [f"{x:.3g}" for x in own]
+        if max(apart) > disagree and not slot.param.wraps and len(set(shown)) > 1:
+            each = ", ".join(shown)
+            planned = best.effects[slot.effect]
+            unit = slot.param.unit_at(planned.joint in best.fits[0].workspace.robot.prismatic)
+            notes.append(f"the recordings disagree on {slot.param.name} of {planned}: {each} {unit}".rstrip())
+    return tuple(notes)
+
+
+def _each(best: _Joint) -> list[tuple[Fit, np.ndarray]]:
+    return list(zip(best.fits, best.normals, strict=True))

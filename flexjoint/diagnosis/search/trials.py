@@ -1,0 +1,346 @@
+"""Sets of one effect more than a set: fitted, dated, and judged at the level that they leave. A pool shares
+the work."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from flexjoint.core.worker_pool import WorkerPool
+from flexjoint.diagnosis.balances.balances import acts_within_a_joint
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.search.candidates import Candidate
+from flexjoint.diagnosis.search.criteria import (
+    at_own_level,
+    degenerate,
+    only_strained,
+    score,
+    strained,
+    torque_shares,
+    worthwhile,
+)
+from flexjoint.diagnosis.search.scan import Scanner, Scored, onset_margin
+from flexjoint.effects import Kind, Planned
+
+
+def at_noise(best: Fit) -> Fit | None:
+    """The set fitted at the level of the predicted noise; None where neither a balance is wrong nor a nominal
+    number implausible."""
+    workspace = best.workspace
+    if workspace.strain <= 1.0 and not np.any(workspace.temper > best.settings.search.wrong):
+        return None
+    return fit(workspace.at(np.ones_like(workspace.temper)), best.effects)
+
+
+def larger_sets(
+    best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, pool: WorkerPool
+) -> list[Fit]:
+    """Sets of one more effect that are better than `best`, on one level. `scanned` are the scans of `best`
+    and, where there is one, of `bare`, the same set at the level of the predicted noise.
+
+    At the level of `best`, at which hardly anything counts, a cause need not show that leaves a tenth of the
+    variance in the balances that are wrong, or no nominal number implausible: such sets are judged at the
+    level that they leave, and the scan of the `bare` set is looked at, too."""
+    scored = promising(best, scanned[0])
+    judged = pool.map(_judged, [(evaluated(best), one) for one in scored])
+    found = [f for f, better in judged if f is not None and better]
+    if bare is not None:
+        trials = [f for f, _ in judged if f is not None]
+        # what was fitted at the level of `best`, and is still dated or not as the scan had it, is fitted from
+        # there
+        known = {
+            (s.candidate, s.since)
+            for s, (f, _) in zip(scored, judged, strict=True)
+            if f is not None and (f.effects[-1].since is None) == (s.since is None)
+        }
+        others = [s for s in promising(bare, scanned[1]) if (s.candidate, s.since) not in known]
+        trials = pool.map(_clearer, [(best, bare, f) for f in trials])
+        trials += [f for f in pool.map(_added, [(bare, one) for one in others]) if f is not None]
+        found += clearing(best, trials, bare, pool)
+    return on_one_level(found, pool)
+
+
+def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
+    """A set with a candidate added, and whether it is better at its level."""
+    best, added = task[0], added_to(*task)
+    return added, added is not None and worthwhile(added, best, added.effects[-1])
+
+
+def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
+    """A set of one effect more than `best`, fitted at the level of `best`, or again from there at that of the
+    predicted noise, whichever clears more: where hardly anything counts, a friction may settle at a wrong
+    number."""
+    best, bare, above = task
+    marked = _marked(above, 1)
+    levels = bare.workspace.levels(above.y)
+    if not np.any(levels[marked] > above.settings.regression.noise_decides):
+        return above
+    below = fit(bare.workspace, above.effects)
+    if degenerate(below.workspace, below.effects[-1]):
+        return above
+    lower = _cleared(best, bare.workspace.levels(below.y), marked) > _cleared(best, levels, marked)
+    return below if lower else above
+
+
+def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> list[Fit]:
+    """Those of some sets of one more effect than `best` that clear the balances that are wrong, each at the
+    level that it leaves. A set that leaves ten times more than one that does will not be chosen."""
+    limits = best.settings.search
+    waiting = [(_cleared(best, bare.workspace.levels(f.y), _marked(f, 1)), f) for f in trials]
+    if best.workspace.strain <= 1.0:
+        waiting = [(share, f) for share, f in waiting if share >= np.log(limits.cleared)]
+    while waiting:
+        most = max(share for share, _ in waiting)
+        first = [(best, f) for share, f in waiting if share >= most - np.log(limits.cleared)]
+        found = [f for f in pool.map(_settled, first) if f is not None]
+        if found:
+            return found
+        waiting = [(share, f) for share, f in waiting if share < most - np.log(limits.cleared)]
+    return []
+
+
+def _marked(trial: Fit, last: int) -> np.ndarray:
+    """(rows,) bool: the balances that the last few effects of a set mark."""
+    count = len(trial.effects)
+    shares = [torque_shares(trial.workspace, trial.effects, k) for k in range(count - last, count)]
+    return np.any(np.array(shares) > 0.0, axis=0)
+
+
+def _cleared(best: Fit, levels: np.ndarray, marked: np.ndarray) -> float:
+    """By how much (mean logarithm) levels are lower than those of `best`, in the balances that are wrong and
+    that what was added marks: of many joints that are wrong, one cause clears its own."""
+    left = best.workspace.temper / best.workspace.strain
+    wrong = (left > best.settings.search.wrong) & marked
+    return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
+
+
+def _clears(best: Fit, levels: np.ndarray, marked: np.ndarray) -> bool:
+    """Whether levels are lower by the factor from which a set is judged at its own level."""
+    return _cleared(best, levels, marked) >= float(np.log(best.settings.search.cleared))
+
+
+def on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> list[Fit]:
+    """Sets with a timing cause that several joints have on all others that could have it: what is late at two
+    joints is more likely common to all. Where a joint tells it less well it need not show beside none."""
+    groups: dict[tuple[str, tuple[object, ...]], list[Planned]] = {}
+    for e in best.effects:
+        if e.effect.kind is Kind.TIMING and e.joint is not None and e.since is None:
+            groups.setdefault((e.effect.name, _words(e)), []).append(e)
+    found = []
+    for (name, words), group in groups.items():
+        if len(group) == 1:
+            continue
+        size = group[0].effect.nulls[0].name
+        mean = {size: float(np.mean([e.values[size] for e in group]))}
+        taken = {e.joint for e in best.effects if e.effect.name == name}
+        kin = [c for c in candidates if c.effect.name == name and tuple(w for _, w in c.words) == words]
+        others = [c.planned(mean) for c in kin if c.joint not in taken]
+        if others:
+            found.append(fit(best.workspace, [*best.effects, *others]))
+    return found
+
+
+def _words(planned: Planned) -> tuple[object, ...]:
+    return tuple(planned.values.get(w.name) for w in planned.effect.words)
+
+
+def beside_rivals(
+    best: Fit, rivals: Sequence[Sequence[Fit]], candidates: Sequence[Candidate], pool: WorkerPool
+) -> list[Fit]:
+    """Where `best` leaves balances wrong: sets that clear them of each effect, started anew, beside each of
+    the fits with a rival in its place. An effect that came first has sizes that stand in for what its rival
+    explains (a gap, for an offset that moves it to one side), from where no search finds back. Beside a rival
+    that the effect contains as a special case, what else there is on its joint stands in for the rest (an
+    offset, for the second level of a friction)."""
+    workspace = best.workspace
+    wrong = workspace.temper / workspace.strain > best.settings.search.wrong
+    joints = {row.joint for row, bad in zip(workspace.balances.rows, wrong, strict=True) if bad}
+    names = {workspace.robot.joint_names[joint] for joint in joints}
+    tasks = []
+    for effect, fits in zip(best.effects, rivals, strict=True):
+        if not names or (acts_within_a_joint(effect) and effect.joint not in names):
+            continue
+        own = tuple(c for c in candidates if c.key == effect.key)
+        others = tuple(c for c in candidates if c.joint == effect.joint and c.key != effect.key)
+        tasks += [(best, rival, others if _narrower(rival, effect) else own) for rival in fits]
+    return on_one_level([f for f in pool.map(_beside, tasks) if f is not None], pool)
+
+
+def _narrower(rival: Fit, effect: Planned) -> bool:
+    """Whether a rival's effect is a special case of an effect."""
+    added = rival.effects[-1]
+    return added.joint == effect.joint and added.effect.name in effect.effect.contains
+
+
+def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
+    """The last effect of a rival set, and the best of some candidates beside it, if that clears what is wrong
+    in `best`, each at its own level, or takes a law apart that strains the nominal numbers."""
+    best, rival, candidates = task
+    scored = Scanner(candidates).scan(rival)
+    trial = added_to(rival, scored[0]) if scored else None
+    if trial is None:
+        return None
+    # what two causes do, one law may do as well with nominal numbers that are far off
+    apart = strained(best, trial) and any(_narrower(rival, e) for e in best.effects)
+    if not apart and not _clears(best, trial.workspace.levels(trial.y), _marked(trial, 2)):
+        return None
+    settled = at_own_level(trial)
+    without = fit(settled.workspace, best.effects)
+    if apart:
+        return settled if score(settled) < score(without) else None
+    return settled if worthwhile(settled, without, settled.effects[len(rival.effects) - 1]) else None
+
+
+def _settled(task: tuple[Fit, Fit]) -> Fit | None:
+    """A set of one more effect than `best` at the level that it leaves, if that is clearly lower or no
+    nominal number is implausible any more, and it is better there."""
+    best, trial = task
+    settled = at_own_level(trial)
+    relieved = best.workspace.strain > 1.0 and settled.workspace.strain <= 1.0
+    # numbers that are implausible with and without it stand for what else is wrong
+    levels = settled.workspace.temper / min(settled.workspace.strain, best.workspace.strain)
+    if not relieved and not _clears(best, levels, _marked(settled, 1)):
+        return None
+    without = fit(settled.workspace, best.effects)
+    better = worthwhile(settled, without, settled.effects[-1]) and not only_strained(settled, best)
+    return settled if better else None
+
+
+def on_one_level(fits: Sequence[Fit], pool: WorkerPool) -> list[Fit]:
+    """The fits at the lowest level among theirs, without those that are far worse there."""
+    if not fits:
+        return []
+    lowest = min((f.workspace for f in fits), key=lambda w: float(np.sum(np.log(w.temper))))
+    energies = [lowest.energy(f.y) for f in fits]
+    most = lowest.settings.search.far_worse * min(energies)
+    kept = [f for f, energy in zip(fits, energies, strict=True) if energy <= most]
+    there = [np.array_equal(f.workspace.temper, lowest.temper) for f in kept]
+    above = [(lowest, f.effects) for f, same in zip(kept, there, strict=True) if not same]
+    moved = iter(pool.map(_refitted, above))
+    return [f if same else next(moved) for f, same in zip(kept, there, strict=True)]
+
+
+def _refitted(task: tuple[Workspace, Sequence[Planned]]) -> Fit:
+    return evaluated(fit(*task))
+
+
+def sought_again(result: Fit, effect: Planned, pool: WorkerPool) -> Fit:
+    """A set of which the shape of an effect's law ran away from where it was looked for (a creep so slow that
+    it is a spring), with that effect fitted anew from every place there: far out the energy is flat, and no
+    fit finds back."""
+    lengths = [p.name for p in effect.effect.params if p.null is None and p.low > 0.0]
+    starts = result.workspace.starts(effect.effect, effect.joint)
+    looked = {name: [start[name] for start in starts if name in start] for name in lengths}
+    astray = result.settings.search.astray
+    if not any(_astray(float(effect.values[name]), places, astray) for name, places in looked.items()):
+        return result
+    shapes = dict.fromkeys(
+        tuple((name, start[name]) for name in lengths if name in start) for start in starts
+    )
+    others = [e for e in result.effects if e is not effect]
+    trials = [[*others, effect.with_values(dict(shape))] for shape in shapes]
+    fits = pool.map(_refitted, [(result.workspace, trial) for trial in trials])
+    best = min(fits, key=lambda f: f.energy)
+    return best if best.energy < result.energy - result.settings.search.chance else result
+
+
+def _astray(value: float, looked: Sequence[float], factor: float) -> bool:
+    return bool(looked) and not min(looked) / factor <= value <= max(looked) * factor
+
+
+def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
+    """The candidates whose first-order gain comes near the best one's, and near the energy that is `needed`
+    of rivals, and which might matter."""
+    limits = current.settings.search
+    joints = Counter(e.joint for e in current.effects)
+    scanned = [
+        s for s in scanned if s.candidate.joint is None or joints[s.candidate.joint] < limits.most_on_joint
+    ]
+    if not scanned:
+        return []
+    most = scanned[0].removes  # to first order; what is `needed` may lie beyond it
+    enough = max(limits.promising * most, limits.alternative_share * min(needed, most), limits.chance)
+    count = limits.alternatives if needed > 0.0 else limits.polished
+    near = [scored for scored in scanned[:count] if scored.removes >= enough]
+    return [scored for scored in near if might_matter(current, scored)]
+
+
+def might_matter(current: Fit, scored: Scored) -> bool:
+    """Whether an effect could be material once it is fitted: a small torque, of which little is seen, will
+    not grow to a large one."""
+    limits = current.settings.search
+    certain = limits.certain if scored.since is None else limits.certain_dated
+    if scored.removes >= limits.unfitted**2 * certain:
+        return True
+    effects = [*current.effects, scored.planned()]
+    shares = torque_shares(current.workspace, effects, len(effects) - 1)
+    return bool(np.max(shares) >= limits.unfitted * current.workspace.robot.tolerance.torque)
+
+
+def polish(current: Fit, scanned: Sequence[Scored], needed: float, pool: WorkerPool) -> list[Fit]:
+    """The most promising candidates fitted together with the current set, and dated."""
+    fits = pool.map(_polished, [(current, scored) for scored in promising(current, scanned, needed)])
+    return [f for f in fits if f is not None]
+
+
+def _polished(task: tuple[Fit, Scored]) -> Fit | None:
+    added = added_to(*task)
+    return None if added is None else evaluated(added)
+
+
+def _added(task: tuple[Fit, Scored]) -> Fit | None:
+    return added_to(*task)
+
+
+def added_to(current: Fit, scored: Scored) -> Fit | None:
+    """A set with a candidate added, fitted and dated; None where its law has shrunk."""
+    fitted = date_onset(fit(current.workspace, [*current.effects, scored.planned()]))
+    return None if degenerate(current.workspace, fitted.effects[-1]) else fitted
+
+
+def date_onset(result: Fit) -> Fit:
+    """Refine when the last effect set in, or find that it was always there; an onset that would lie too near
+    to an end of the record to be seen there is none."""
+    added = result.effects[-1]
+    if added.since is None:
+        return result
+    workspace, limits = result.workspace, result.settings.search
+    always = fit(workspace, [*result.effects[:-1], replace(added, since=None)])
+    for steps in limits.onset_steps:
+        moved = _moved_onset(result, steps)
+        if moved != result.effects[-1].since:
+            trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
+            if trial.energy < result.energy:
+                result = trial
+    end, since = float(workspace.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
+    margin = onset_margin(end, limits)
+    if not margin <= since <= end - margin:
+        return always
+    granted = limits.undated * max(0.0, always.energy - result.energy)
+    return always if score(always) < score(result) + granted else result
+
+
+def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
+    """Where, in ever smaller steps from its onset, the last effect of a set would have set in best, all
+    numbers held."""
+    workspace, added = result.workspace, result.effects[-1]
+    end = float(workspace.balances.chains.t[-1])
+
+    def energy(since: float) -> float:
+        if not 0.0 < since < end:
+            return np.inf
+        return workspace.energy(workspace.residual([*result.effects[:-1], replace(added, since=since)]))
+
+    best = float(added.since or 0.0)
+    least = energy(best)
+    for step in steps:
+        start = best
+        for sign in (-1.0, 1.0):
+            if best == start:  # it is on one side
+                while (there := energy(best + sign * step)) < least:
+                    least, best = there, best + sign * step
+    return best

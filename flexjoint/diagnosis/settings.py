@@ -1,0 +1,835 @@
+"""Every number that decides in a diagnosis, with its unit, its reason and its evidence.
+
+One frozen class a stage, all of them in `Settings`; `diagnose(..., settings=...)` takes another set:
+
+    replace(Settings(), search=replace(SearchSettings(), price=20.0))
+
+The readings carry the settings, and with them every stage that follows. Numbers that only serve numerics or
+memory (paddings, cache sizes, chunk lengths) stay where they are used. `make docs` writes docs/settings.md.
+
+Evidence is one of: theory (it follows from a statement that is named), study (planted machines, `make study`,
+docs/diagnosis_study.md), machine (a real recording), judgement (chosen, and not varied by itself).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, field, fields
+from typing import Any
+
+from flexjoint.core.errors import ModelError
+
+
+def number(value: Any, unit: str, reason: str, evidence: str) -> Any:
+    """A field of a settings class: its value, unit, what it is for, and what it rests on."""
+    return field(default=value, metadata={"unit": unit, "reason": reason, "evidence": evidence})
+
+
+class Stage:
+    """The numbers of one stage of a diagnosis.
+
+    Raises ModelError for a value that is no number, or not of the kind of the default one."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, one.name)
+            flat, default = _flat(value), _flat(one.default)
+            usual = len(flat) == len(default) or isinstance(one.default, tuple)
+            whole = isinstance(one.default, int)
+            if not usual or not all(_usable(v, whole) for v in flat):
+                kind = "a whole number" if whole else "finite numbers, none below zero,"
+                raise ModelError(
+                    f"{type(self).__name__}.{one.name}: expected {kind} like {one.default!r}"
+                    f" ({one.metadata['unit'] or 'no unit'}), got {value!r}"
+                )
+
+
+def _flat(value: Any) -> list[Any]:
+    if not isinstance(value, tuple):
+        return [value]
+    return [number for part in value for number in _flat(part)]
+
+
+def _usable(value: Any, whole: bool) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
+        return False
+    return math.isfinite(value) and value >= 0
+
+
+@dataclass(frozen=True)
+class SignalSettings(Stage):
+    """Readings: one clock, one filter, predicted noise."""
+
+    filter_seconds: float = number(
+        0.004, "s", "least standard deviation of the Gaussian filter that serves every signal", "judgement"
+    )
+    edge_deviations: float = number(
+        8.0, "filter deviations", "samples this close to an end or a gap are not used", "judgement"
+    )
+    edge_seconds: float = number(
+        0.15,
+        "s",
+        "samples this close to an end or a long gap are not used: whitening integrates what differentiation"
+        " has made large, and noise that is cut off leaves a tail of half a second",
+        "judgement",
+    )
+    tick_slack: float = number(
+        0.2, "control periods", "by which a stamp may precede the tick of its command", "judgement"
+    )
+    longest_bridge: int = number(
+        4, "samples", "missing samples in a row that are interpolated and used", "judgement"
+    )
+    sure_jump: float = number(
+        5.0, "standard deviations", "of a torque's noise, above which a jump is none of it", "judgement"
+    )
+    sensor_levels: float = number(
+        10.0, "steps", "range of a torque, from which its steps are those of a sensor", "judgement"
+    )
+    dithered: float = number(
+        0.5,
+        "encoder steps",
+        "other noise, beyond which what rounding leaves is white",
+        "theory: Bennett 1948; Widrow and Kollar 2008",
+    )
+    least_colour: float = number(
+        0.3,
+        "share of the white spectrum",
+        "least spectrum of rounding that is believed: what noise there is besides is known no better",
+        "judgement",
+    )
+
+
+@dataclass(frozen=True)
+class BalanceSettings(Stage):
+    """Balances: what must vanish, and dry friction at rest."""
+
+    shortest: float = number(1.0, "s", "usable data below which no verdict is given", "judgement")
+    still: float = number(
+        20.0,
+        "noise deviations",
+        "travel that a joint must have to show anything that depends on its angle",
+        "judgement",
+    )
+    rest_speed: float = number(0.04, "rad/s", "above it a body moves whatever its friction", "judgement")
+    least_rest_speed: float = number(
+        0.0, "rad/s", "below it a body rests whatever its friction; raised by the robust search", "judgement"
+    )
+    rest_rings: float = number(
+        1.0,
+        "filter widths",
+        "speed that a friction changes within the filter's width, below which a body rests: a stop rings"
+        " about as much",
+        "judgement",
+    )
+    speed_deviations: float = number(
+        4.0,
+        "standard deviations",
+        "of a speed's noise, below which its sign says nothing",
+        "theory: normal tail",
+    )
+    most_at_rest: float = number(
+        1.25,
+        "friction levels",
+        "what a friction holds at most: what the filter leaves of a breakaway may overshoot the level",
+        "judgement",
+    )
+    noisy_friction: float = number(
+        0.1,
+        "friction levels",
+        "noise of the torque at rest from which the denoised recording says what pulls: it would be"
+        " cut off on"
+        " one side where all of the friction holds",
+        "judgement",
+    )
+    ringing: float = number(
+        5.0,
+        "filter deviations",
+        "within which of a motion a denoised acceleration rings",
+        "theory: tail of a Gaussian",
+    )
+
+
+@dataclass(frozen=True)
+class RegressionSettings(Stage):
+    """Regression: predicted noise, tolerances, and the noise inflation that an incomplete model needs."""
+
+    plausible: float = number(
+        2.5,
+        "prior deviations",
+        "up to which a nominal number may be off before a cause must be sought, and beyond which an energy is"
+        " evaluated in full and not to first order",
+        "theory: one number in eighty of a machine as the robot file claims it is further off",
+    )
+    implausible: float = number(
+        6.0, "prior deviations", "from which a nominal number is that of another machine", "judgement"
+    )
+    telling: float = number(
+        100.0,
+        "energy (chi-square)",
+        "that must remain for a cause to be able to gain its price: the noise is not inflated below it",
+        "judgement",
+    )
+    noise_decides: float = number(
+        3.0,
+        "noise inflation",
+        "up to which sensor noise decides: a balance that leaves no more counts as explained",
+        "judgement",
+    )
+    fewest_samples: int = number(
+        100, "samples", "independent ones that a recording is credited with at least", "judgement"
+    )
+    factor_deviation: float = number(
+        0.7,
+        "log",
+        "weak prior of a factor on a nominal number: a factor of two is one deviation",
+        "theory: ln 2",
+    )
+    position_deviation: float = number(
+        0.5, "m", "weak prior of components of a position that the data do not show", "judgement"
+    )
+    offset_deviation: float = number(
+        0.2, "rad", "prior of an encoder offset that is free in each recording", "judgement"
+    )
+    other_component: float = number(
+        0.1,
+        "share",
+        "of the length of a centre of mass (trace of an inertia) to which its small components are trusted",
+        "judgement",
+    )
+    least_jump: float = number(
+        0.5, "noise deviations", "from which a torque's jump between two samples matters", "judgement"
+    )
+    least_command: float = number(
+        0.01, "share", "of a command that a motor without torque still has", "judgement"
+    )
+    band_gain: float = number(
+        0.25, "filter gain", "where the band ends in which residuals are whitened", "judgement"
+    )
+    missing: float = number(
+        0.1,
+        "noise variances",
+        "that a white sample may lack of what was cut off at ends and gaps",
+        "judgement",
+    )
+    least_steady: float = number(
+        0.5,
+        "share of the samples",
+        "that must be left by that: else the record is used as it is",
+        "judgement",
+    )
+    fed_back: float = number(
+        1.2,
+        "noise deviations",
+        "of a torque, up to which that may be what a controller made of the motor's angle",
+        "judgement",
+    )
+    most_fed_back: float = number(
+        0.95, "share", "of a torque's noise that is believed to be fed back at most", "judgement"
+    )
+    numerical_floor: float = number(
+        6e-4,
+        "share of the RMS torque",
+        "error of filters and interpolation in a balance, white in the band",
+        "judgement",
+    )
+    time_block: float = number(
+        1.0,
+        "s",
+        "of the blocks behind standard errors and comparisons of rivals: residuals are correlated"
+        " within them",
+        "theory: White 1980; Newey and West 1987; Vuong 1989",
+    )
+
+
+@dataclass(frozen=True)
+class SearchSettings(Stage):
+    """Search: the price of a cause, what else it must pass, and which candidates are tried."""
+
+    # --- prices
+    price: float = number(
+        16.0,
+        "energy (chi-square)",
+        "of an effect of one number: some hundred candidates are tried, and one healthy recording in"
+        " a hundred"
+        " may name one by chance",
+        "theory: four standard deviations",
+    )
+    price_nominal: float = number(
+        11.0,
+        "energy (chi-square)",
+        "of a nominal number beyond its tolerance: of robots whose four numbers a joint scatter as"
+        " claimed, one"
+        " in 250 has such a one",
+        "theory: 3.3 standard deviations",
+    )
+    price_number: float = number(
+        12.0,
+        "energy (chi-square)",
+        "of every further number that has a trace, and of an onset: more than chance gives, less than a law",
+        "judgement",
+    )
+    price_reconstructed: float = number(
+        24.0,
+        "energy (chi-square)",
+        "more for every effect where a position is made of the nominal model, which is known to first order",
+        "judgement",
+    )
+    price_candidates: float = number(
+        2.0,
+        "energy per log of joints",
+        "of so many more candidates chance favours one by so much more",
+        "theory: extreme values of chi-square",
+    )
+    unexplained_share: float = number(
+        0.05,
+        "share of the unexplained energy",
+        "that a cause, or a finer law, must explain at least, and by which ties may differ",
+        "judgement",
+    )
+    # --- the method's own error
+    method_error: float = number(
+        1e-3,
+        "share",
+        "of what a joint's other causes explain, which filters and friction at rest may leave",
+        "judgement",
+    )
+    finer_method_error: float = number(
+        1e-4,
+        "share",
+        "the same where a cause leaves less than a tenth of what it explains, and every position was"
+        " measured",
+        "judgement",
+    )
+    least_method_error: float = number(
+        1e-5, "share", "the same where a large cause leaves nothing but noise", "judgement"
+    )
+    perfect: float = number(
+        1000.0, "times the energy left", "that a cause must explain for the least error", "judgement"
+    )
+    filtered: float = number(
+        1e-5,
+        "share of the explained energy",
+        "by which laws differ as filtered balances see their kinks: the plainer one is taken",
+        "judgement",
+    )
+    filtered_reconstructed: float = number(
+        1e-4, "share of the explained energy", "the same where a position is made of the model", "judgement"
+    )
+    # --- what is wrong, and what clears it
+    wrong: float = number(10.0, "noise inflation", "from which a balance is wrong", "judgement")
+    cleared: float = number(
+        10.0,
+        "factor in variance",
+        "by which a set must leave less, to be judged at the noise level that it leaves, and by"
+        " which no balance"
+        " may grow",
+        "judgement",
+    )
+    # --- sizes that count
+    negligible: float = number(
+        0.1, "torque tolerances", "below which no effect is named whatever it explains", "judgement"
+    )
+    certain: float = number(
+        100.0,
+        "energy (chi-square)",
+        "that an effect below the torque tolerance must explain",
+        "theory: ten standard deviations",
+    )
+    certain_dated: float = number(
+        1000.0,
+        "energy (chi-square)",
+        "the same with an onset: over a whole recording one fits something small by chance",
+        "judgement",
+    )
+    beyond_noise: float = number(
+        1000.0,
+        "energy (chi-square)",
+        "from which an effect need not be confirmed on the denoised recording",
+        "judgement",
+    )
+    denoised_share: float = number(
+        0.5,
+        "share",
+        "of a smaller energy that a law must explain on the denoised recording, too",
+        "judgement",
+    )
+    moved_noise: float = number(
+        4.0,
+        "sizes of the moved noise",
+        "that a delay or a lag must explain: chance gives 2, and the search takes the best of many",
+        "theory: moving noise n against noise m changes an energy by 2 m dn",
+    )
+    between_samples: float = number(
+        0.1,
+        "sampling periods",
+        "below which a shift of a command is none beside another cause of timing",
+        "study: drawn 293, a 27th of a sample",
+    )
+    at_bound: float = number(
+        0.1, "relative distance", "from a bound, within which a number counts as at it", "judgement"
+    )
+    boundless: float = number(
+        30.0,
+        "RMS torques",
+        "of a joint, or of what a law shows, beyond which a named torque is none",
+        "judgement",
+    )
+    tolerated: float = number(
+        2.0, "prior deviations", "up to which a nominal number that is off is no cause", "judgement"
+    )
+    further: float = number(
+        2.0,
+        "times another set's deviation",
+        "up to which a set may need nominal numbers to be off",
+        "judgement",
+    )
+    # --- how many
+    most_effects: int = number(12, "effects", "in a set, or the next where that is more", "judgement")
+    most_a_joint: int = number(3, "effects a joint", "on average", "judgement")
+    most_on_joint: int = number(4, "effects", "on one joint: a fifth one would not be believed", "judgement")
+    most_exchanges: int = number(4, "exchanges", "so that two equals do not alternate for ever", "judgement")
+    # --- which candidates are tried
+    later: tuple[float, ...] = number(
+        (0.0, 0.5, 0.75),
+        "share of the recording",
+        "from where a load is looked for: one that comes late is not what the whole recording would"
+        " have it be",
+        "judgement",
+    )
+    heavy: float = number(10.0, "link masses", "weak prior of a load's mass", "judgement")
+    reach: float = number(0.5, "m", "weak prior of a load's place", "judgement")
+    trial_share: float = number(
+        0.05, "share of the RMS torque", "size at which the trace of an effect is taken", "judgement"
+    )
+    most_amplitude: float = number(1.5, "times its start", "to which a scan lets an effect grow", "judgement")
+    polished: int = number(8, "candidates", "that are fitted in full at each step", "judgement")
+    promising: float = number(
+        0.3, "share of the best gain", "that they must show to first order", "judgement"
+    )
+    alternatives: int = number(
+        12,
+        "candidates",
+        "tried in the place of an effect: where a joint is pulled one way, four are the same",
+        "judgement",
+    )
+    alternative_share: float = number(
+        0.7, "share of what the effect explains", "that they must show to first order", "judgement"
+    )
+    unfitted: float = number(
+        0.3, "share", "of its fitted size that a scan shows of an effect at least", "judgement"
+    )
+    far_worse: float = number(
+        3.0,
+        "times the least energy",
+        "from which a set is not fitted again at the noise level of another",
+        "judgement",
+    )
+    astray: float = number(
+        3.0,
+        "factor",
+        "beyond the places where a law's shape was looked for, from which it ran away from them",
+        "judgement",
+    )
+    chance: float = number(1.0, "energy (chi-square)", "that tells nothing", "theory: one degree of freedom")
+    # --- onsets
+    onset_blocks: int = number(16, "blocks", "of time at whose edges an onset is tried", "judgement")
+    onset_seconds: float = number(
+        1.0,
+        "s",
+        "beside an end, where no onset is looked for: what internal states had before looks so there",
+        "judgement",
+    )
+    onset_share: float = number(
+        0.1, "share of the recording", "the same where the recording is short", "judgement"
+    )
+    onset_margin: float = number(
+        0.05, "share", "by which a trace with an onset must be better to be preferred", "judgement"
+    )
+    undated: float = number(
+        0.01, "share of what the onset gains", "in favour of an effect that was always there", "judgement"
+    )
+    onset_steps: tuple[tuple[float, ...], ...] = number(
+        ((0.25, 0.1, 0.04), (0.015, 0.006, 0.002)),
+        "s",
+        "by which an onset is dated, with a fit after each row: a jump of an encoder is seen to the sample",
+        "judgement",
+    )
+    # --- several recordings
+    present: float = number(
+        1.0,
+        "standard errors",
+        "disagreement counted, by which a number common to recordings must differ from none",
+        "judgement",
+    )
+    disagree: float = number(
+        3.5,
+        "standard errors",
+        "by which a recording's own number may differ from the common one",
+        "judgement",
+    )
+
+
+@dataclass(frozen=True)
+class RobustSearchSettings(Stage):
+    """Robust search: causes that the simulation confirms, where only implausible nominal numbers would
+    explain an error."""
+
+    begins: float = number(
+        3.0,
+        "noise inflation",
+        "granted because nominal numbers are implausible, from which an error counts as left over",
+        "judgement",
+    )
+    disagreeing: float = number(
+        10.0,
+        "noise deviations",
+        "from which a link encoder and its spring disagree",
+        "judgement",
+    )
+    most_at_rest: float = number(
+        1.0,
+        "friction levels",
+        "what a dry friction holds at most",
+        "machine: KR300; before a real joint slides it creeps",
+    )
+    most_inflation: float = number(
+        2.0**12, "noise inflation", "of a joint's balances for implausible nominal numbers", "judgement"
+    )
+    tried: int = number(4, "candidates", "of a joint that are fitted and simulated", "judgement")
+    promising: float = number(
+        10.0, "energy (chi-square)", "that a candidate must remove to first order", "judgement"
+    )
+    cleared: float = number(
+        2.0,
+        "factor in variance",
+        "by which a cause must leave less in the wrong balances of its joint",
+        "machine: KR300, joint 6, 3.5 times less with a wrong cause",
+    )
+    lowered: float = number(
+        1.5,
+        "factor",
+        "by which a cause must lower the error of its joint's simulation",
+        "machine: KR300, joint 6, where a wrong cause raises it by 2.6",
+    )
+    lowered_beside: float = number(
+        1.25, "factor", "the same for a joint's nominal dry friction beside another one", "judgement"
+    )
+    disturbed: float = number(
+        1.25,
+        "factor",
+        "by which no other joint's error may grow: joints that are coupled hide each other's",
+        "judgement",
+    )
+
+
+@dataclass(frozen=True)
+class RefinementSettings(Stage):
+    """Refinement: numbers on the simulation itself, and when they are not taken."""
+
+    window_lengths: tuple[float, ...] = number(
+        (0.2, 0.1, 0.05), "s", "of the windows that are tried, the longest first", "judgement"
+    )
+    disturbed: float = number(
+        1.1,
+        "squared residual per degree of freedom",
+        "from which the noise of the motor torques is sought in it",
+        "judgement",
+    )
+    noise_explains: float = number(
+        1.5, "squared residual per degree of freedom", "up to which noise explains it", "judgement"
+    )
+    shorter: float = number(
+        0.7, "share of the residual", "that windows of half the length must leave to be taken", "judgement"
+    )
+    outlying: float = number(5.0, "times the usual residual", "from which a window is left out", "judgement")
+    few_outlying: float = number(
+        0.02, "share of the windows", "left out, that is no sign of windows that are too long", "judgement"
+    )
+    most_outlying: float = number(
+        0.2, "share of the windows", "left out, beyond which a refinement has no basis", "judgement"
+    )
+    fewest_windows: int = number(8, "windows", "that a refinement needs", "judgement")
+    follows: float = number(
+        1.05,
+        "squared residual per degree of freedom",
+        "up to which the simulation follows the readings to their noise",
+        "judgement",
+    )
+    worse: float = number(
+        4.0,
+        "times what chance takes",
+        "from which windows that were not fitted speak against a refinement",
+        "judgement",
+    )
+    less_well: float = number(
+        1.2,
+        "times the balances' standard errors",
+        "from which the simulation knows the numbers less well",
+        "study: refined numbers, docs/diagnosis_method.md section 9",
+    )
+    confirmed: float = number(
+        2.0,
+        "standard errors",
+        "within which the simulation confirms a number",
+        "study: refined numbers, docs/diagnosis_method.md section 9",
+    )
+    converged: float = number(0.05, "standard errors", "by which a step may still move a number", "judgement")
+    small_step: float = number(
+        0.5,
+        "standard errors",
+        "by which the last step may: at kinks steps do not die out, but become small",
+        "judgement",
+    )
+    method_error: float = number(
+        3e-4,
+        "share of a number",
+        "what commands between two recorded samples, interpolated, leave at kinks",
+        "judgement",
+    )
+    flat_prior: float = number(
+        1e3, "noise deviations", "by which a window's start may differ from its measured value", "judgement"
+    )
+    state_prior: float = number(0.3, "share of its range", "the same of an internal state", "judgement")
+    torque_block: float = number(
+        0.01,
+        "s",
+        "of the blocks by which the noise of motor torques is estimated: motors answer more slowly",
+        "judgement",
+    )
+    visible: float = number(
+        0.1,
+        "energy (chi-square)",
+        "by which one deviation of a nominal number must show to count",
+        "judgement",
+    )
+
+
+@dataclass(frozen=True)
+class VerdictSettings(Stage):
+    """Verdict: which causes are named, how far they are believed, and what else is said."""
+
+    # --- the verdict
+    explained: float = number(
+        0.9,
+        "share of the error above noise",
+        "below which the causes found are not the whole story",
+        "judgement",
+    )
+    clear: float = number(
+        3.0, "torque tolerances", "by which a balance must be off to count in that share", "judgement"
+    )
+    above_noise: float = number(1.5, "noise deviations", "below which a residual counts as none", "judgement")
+    oscillation: float = number(
+        0.1,
+        "share of a residual",
+        "that a frequency must explain beyond any signal: a motion that repeats itself oscillates, too",
+        "judgement",
+    )
+    # --- checks
+    sure: float = number(
+        3.0, "standard errors", "by which a cause must differ from none", "theory: three standard deviations"
+    )
+    probable: float = number(
+        0.1, "probability", "of a cause and its ties, below which it is not named", "judgement"
+    )
+    held_out_block: float = number(
+        2.0, "s", "of the blocks of which every second one is held out", "judgement"
+    )
+    worse: float = number(
+        1.2, "times the nominal error", "from which a cause makes the simulation worse", "judgement"
+    )
+    better_without: float = number(
+        0.95, "share of the error", "that must be left without such a cause for it to be dropped", "judgement"
+    )
+    alternatives_tried: int = number(
+        3, "alternatives", "in the place of a cause that the simulation speaks against", "judgement"
+    )
+    # --- ties
+    tie: float = number(
+        12.0, "score (chi-square)", "by which an alternative may lose and still fit as well", "judgement"
+    )
+    tie_moved: float = number(
+        12.0,
+        "score (chi-square)",
+        "more where readings are moved in time, which brings other noise at the ends",
+        "judgement",
+    )
+    most_ties: int = number(3, "alternatives", "that are listed", "judgement")
+    time_blocks: int = number(12, "blocks", "of time, at least, in which ties are compared", "judgement")
+    throughout: float = number(
+        2.0,
+        "standard deviations",
+        "among the blocks, from which an alternative is worse throughout",
+        "theory: Vuong 1989",
+    )
+    # --- belief in a name
+    belief: float = number(
+        3.2, "log odds", "of a name that leaves no more than the noise", "study: reliability of names"
+    )
+    belief_per_decade: float = number(
+        1.8, "log odds", "less for every factor of ten in variance left", "study: reliability of names"
+    )
+    belief_implausible: float = number(
+        1.5, "log odds", "less where nominal numbers are implausible beside it", "study: reliability of names"
+    )
+    belief_crowd: float = number(
+        3.0,
+        "log odds",
+        "less for each cause beyond `crowd` on its joint: an effect in no catalogue is more likely"
+        " than three",
+        "judgement: no planted machine has more than two causes",
+    )
+    crowd: int = number(2, "causes", "on a joint, that planted machines have at most", "study: its machines")
+    # --- belief in a name on a machine that always leaves something
+    background_belief: float = number(
+        3.2, "log odds", "of a large cause that leaves what other joints leave, and no shape", "judgement"
+    )
+    background_more: float = number(
+        4.0,
+        "log odds",
+        "less for every factor of ten that it leaves beyond other joints",
+        "judgement",
+    )
+    background_shape: float = number(
+        5.0, "log odds", "less for every factor of ten in the shape that it leaves ...", "judgement"
+    )
+    background_shaped: float = number(
+        0.1, "share of what it removes", "... from this size of the shape on", "judgement"
+    )
+    background_small: float = number(
+        4.0, "log odds", "less for every factor of ten in what it removes ...", "judgement"
+    )
+    background_large: float = number(
+        0.2,
+        "share of the joint's torque",
+        "... below this size: many small errors make some hundredths of it",
+        "machine: EMPS 4 %, KR300 12 to 33 % after a hand fit",
+    )
+    background_range: tuple[float, ...] = number(
+        (0.005, 0.2),
+        "share of the joint's torque",
+        "that many small errors make, least and most",
+        "judgement",
+    )
+    background_typical: float = number(
+        0.03,
+        "share of the joint's torque",
+        "the same where there is no other joint to tell",
+        "machine: EMPS, 4 %",
+    )
+    simulated_factor: float = number(
+        7.0,
+        "factor in a simulated error",
+        "on unseen data, at which a cause of the joint is as likely there as not whatever a balance says",
+        "machine: KR300, deflections of joints 1 to 3 by 6 to 13; a stand-in that explains 95 % gives 4.5",
+    )
+    simulated_belief: float = number(
+        6.0, "log odds", "more for every factor of ten beyond that, and less below", "judgement"
+    )
+    likely: float = number(0.5, "probability", "from which a cause is taken to be there", "judgement")
+    # --- whether the causes named are all
+    finished: float = number(
+        0.05,
+        "share of the joint's torque",
+        "below which what is left is background",
+        "machine: EMPS, 4 % after a fit of friction and offset",
+    )
+    unfinished_shape: float = number(
+        0.15,
+        "share of the variance that there was",
+        "above which a shape that is left is a cause without a name",
+        "judgement",
+    )
+    unfinished_share: float = number(
+        0.5, "share of the variance that there was", "above which the main cause has no name", "judgement"
+    )
+    cleared_share: float = number(
+        1e-3,
+        "share of a variance",
+        "that filters and friction at rest may leave of any cause",
+        "judgement",
+    )
+    cleared_belief: float = number(
+        0.3, "probability", "that a name keeps which leaves no more than that", "judgement"
+    )
+    followed_belief: float = number(
+        0.5,
+        "probability",
+        "that a name keeps with which the simulation follows the readings of one side",
+        "study: 4 of 8 that left 300 times the noise, where half of the machines held an unknown effect",
+    )
+    # --- what else is said
+    hidden: float = number(
+        0.9, "share", "of what a cause explains that free nominal numbers would absorb", "judgement"
+    )
+    same: float = number(3.0, "standard errors", "within which joints share one value", "judgement")
+    notable: float = number(
+        2.0, "standard errors", "by which a nominal number must be off to be worth a line", "judgement"
+    )
+    least_off: float = number(0.25, "prior deviations", "by which it must be off, too", "judgement")
+    believed: float = number(
+        3.0, "prior deviations", "beyond which a nominal number stands for something else", "judgement"
+    )
+    detectable: float = number(20.0, "energy (chi-square)", "that makes an effect seen", "judgement")
+    seen_share: float = number(
+        0.2,
+        "share of the RMS torque",
+        "an effect that must be larger to be seen was not excited",
+        "judgement",
+    )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All numbers that decide in a diagnosis, stage by stage."""
+
+    signals: SignalSettings = SignalSettings()
+    balances: BalanceSettings = BalanceSettings()
+    regression: RegressionSettings = RegressionSettings()
+    search: SearchSettings = SearchSettings()
+    robust_search: RobustSearchSettings = RobustSearchSettings()
+    refinement: RefinementSettings = RefinementSettings()
+    verdict: VerdictSettings = VerdictSettings()
+
+    def stages(self) -> Iterator[tuple[str, Stage]]:
+        """Every stage with its name, in the order in which they run."""
+        for one in fields(self):
+            yield one.name, getattr(self, one.name)
+
+
+USUAL = Settings()
+
+
+def settings_page() -> str:
+    """docs/settings.md: every number with its value, unit, reason and evidence."""
+    lines = [
+        "# Settings of a diagnosis",
+        "",
+        "<!-- written by `make docs` from flexjoint/diagnosis/settings.py; do not edit -->",
+        "",
+        "```python",
+        "from dataclasses import replace",
+        "from flexjoint.diagnosis.settings import Settings",
+        "",
+        "usual = Settings()",
+        "stricter = replace(usual, search=replace(usual.search, price=25.0))",
+        "# diagnose(robot, [recording], settings=stricter)",
+        "```",
+        "",
+        "Every number that decides what a diagnosis says. Evidence is *theory* (it follows from what is",
+        "named), *study* (planted machines, [diagnosis_study.md](diagnosis_study.md)), *machine* (a real",
+        "recording) or *judgement* (chosen, and not varied by itself).",
+    ]
+    for name, stage in Settings().stages():
+        title, _, _ = (type(stage).__doc__ or "").partition("\n\n")
+        lines += ["", f"## {name}", "", " ".join(title.split()), ""]
+        lines += ["| number | value | unit | what for | evidence |", "|---|---|---|---|---|"]
+        lines += [_line(one) for one in fields(stage)]  # type: ignore[arg-type]
+    return "\n".join(lines) + "\n"
+
+
+def _line(one: Field[Any]) -> str:
+    values = ", ".join(f"{v:g}" for v in _flat(one.default))
+    unit, reason, evidence = (one.metadata[key] for key in ("unit", "reason", "evidence"))
+    return f"| `{one.name}` | {values} | {unit} | {reason} | {evidence} |"

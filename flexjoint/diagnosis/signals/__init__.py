@@ -1,0 +1,1 @@
+"""What was measured, on one clock, with what noise."""

@@ -1,0 +1,87 @@
+"""Of a recording that is larger than a search can take: what is looked at.
+
+Time and memory grow with samples times joints, and of many joints faster. So of a large recording fewer
+samples a second are taken, as long as the balances' filter smooths away what lies between them, and then the
+stretch in which most moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from flexjoint.recording.channels import inspected
+from flexjoint.recording.clock import without_pauses
+from flexjoint.recording.table import Recording, was_measured
+from flexjoint.robot.robot import Robot
+
+LARGEST = 420_000  # samples times joints: two gigabytes and a few minutes ...
+MANY = 7  # ... for so many joints; of more, the tolerances of each on the samples of all count
+ENOUGH = 500.0  # Hz, at which the filter is as narrow as it ever is
+WHOLE = 0.9  # of a channel's share of samples: below it every k-th row misses a channel of a rate of its own
+SEEN = 0.05  # s, over which a joint's speed is taken
+PLACES = 50  # at which a stretch may begin
+
+
+def excerpts(robot: Robot, recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+    """The recordings as they are looked at, and notes about what was repaired, left out or cut. Each has its
+    share of what a search takes.
+
+    Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.channels`)."""
+    recordings = [inspected(robot, without_pauses(recording)) for recording in recordings]
+    repairs = tuple(f"{recording.name}: {note}" for recording in recordings for note in recording.notes)
+    joints = len(robot.joints)
+    most = int(LARGEST / (joints * max(1.0, joints / MANY)) / len(recordings))
+    kept = [_excerpt(robot, recording, most) for recording in recordings]
+    notes = tuple(
+        f"{old.name} is larger than what a search takes ({old.time.size} samples of {joints} joints):"
+        f" {new.time[0]:.4g} to {new.time[-1]:.4g} s were looked at, at {1.0 / new.period:.4g} Hz;"
+        " cut the file for another part"
+        for old, new in zip(recordings, kept, strict=True)
+        if new is not old
+    )
+    return kept, (*repairs, *notes)
+
+
+def _excerpt(robot: Robot, recording: Recording, most: int) -> Recording:
+    if recording.time.size <= most:
+        return recording
+    stride = min(int(1.0 / (recording.period * ENOUGH) + 1e-6), -(-recording.time.size // most))
+    thin = _every(recording, stride) if stride > 1 else recording
+    return thin if thin.time.size <= most else _busiest(robot, thin, most)
+
+
+def _every(recording: Recording, stride: int) -> Recording:
+    """One sample of each `stride`; the recording itself where a channel has its samples in other rows."""
+    columns = {key: values[::stride] for key, values in recording.columns.items()}
+    for key, values in columns.items():
+        if np.mean(np.isfinite(values)) < WHOLE * np.mean(np.isfinite(recording.columns[key])):
+            return recording
+    return replace(recording, time=recording.time[::stride], columns=columns)
+
+
+def _busiest(robot: Robot, recording: Recording, most: int) -> Recording:
+    """The stretch of `most` samples in which the joints' squared speeds, each over its own mean, add up to
+    most; the first of several equal ones."""
+    starts = np.unique(np.linspace(0, recording.time.size - most, PLACES).astype(int))
+    moved = np.zeros(starts.size)
+    for joint in robot.joint_names:
+        channel = next((c for c in ("q", "theta") if recording.has(c, joint)), None)
+        if channel is not None:
+            done = _travelled(recording, recording.get(channel, joint))
+            moved += np.round(done[starts + most - 1] - done[starts], 3)
+    start = starts[int(np.argmax(moved))]
+    columns = {key: values[start : start + most] for key, values in recording.columns.items()}
+    there = {key: values for key, values in columns.items() if was_measured(values)}
+    return replace(recording, time=recording.time[start : start + most], columns=there)
+
+
+def _travelled(recording: Recording, position: np.ndarray) -> np.ndarray:
+    """(N,) share of the sum of squared speeds that a joint has by then."""
+    present = np.isfinite(position)
+    ticks = np.arange(recording.time[0], recording.time[-1] + SEEN, SEEN)
+    steps = np.diff(np.interp(ticks, recording.time[present], position[present]))
+    total = np.concatenate([[0.0], np.cumsum(steps**2)])
+    return np.asarray(np.interp(recording.time, ticks, total / max(float(total[-1]), 1e-300)))

@@ -1,0 +1,107 @@
+"""What checks look at: a set of causes, what the simulation makes of it, and the findings it would be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
+
+from flexjoint.diagnosis.refinement import refined
+from flexjoint.diagnosis.regression.uncertainty import Errors
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.result import Estimation, Finding, Gain, ResidualView, Step, Unexplained
+from flexjoint.diagnosis.search.selection import Key, Selection
+from flexjoint.diagnosis.verdict import held_out, verdict
+from flexjoint.diagnosis.verdict.reliability import followed
+from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
+from flexjoint.diagnosis.verdict.unseen import Unseen, unseen
+from flexjoint.recording.table import Recording
+from flexjoint.robot.robot import Robot
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A set of causes, and the steps that led to it."""
+
+    selection: Selection
+    trace: tuple[Step, ...]
+
+    def changed(self, selection: Selection, step: Step) -> Self:
+        """The case after a step."""
+        return replace(self, selection=selection, trace=(*self.trace, step))
+
+
+@dataclass(frozen=True)
+class SimulatedCase(Case):
+    """A set, and what it gains on held-out data; None where the recording cannot drive a simulation."""
+
+    robot: Robot
+    recording: Recording
+    workspace: Workspace
+    measured: Gain | None
+
+    def changed(self, selection: Selection, step: Step) -> Self:
+        measured = held_out.comparison(
+            self.robot, self.recording, self.workspace, selection.best, self.measured
+        )
+        return replace(super().changed(selection, step), measured=measured)
+
+
+@dataclass(frozen=True)
+class StatedCase(SimulatedCase):
+    """A set as findings with their numbers; each is made when it is first asked for.
+
+    `kept` says why numbers are not refined on the simulation; empty: they are. `spread` replaces the standard
+    errors of the first recording. So many `workers` (processes) share a refinement.
+    """
+
+    kept: str
+    workers: int
+    spread: Mapping[Key, Errors]
+    report: Progress = field(repr=False)
+
+    @cached_property
+    def residuals(self) -> tuple[ResidualView, ...]:
+        return residual_views(self.selection.best, self.selection.nothing)
+
+    @cached_property
+    def left(self) -> tuple[Unexplained, ...]:
+        return unexplained_balances(self.selection.best, self.residuals)
+
+    @cached_property
+    def explained(self) -> float:
+        return explained_share(self.selection.best, self.residuals)
+
+    @cached_property
+    def unseen(self) -> Unseen:
+        return unseen(self.selection.best, self.selection.nothing)
+
+    @cached_property
+    def named(self) -> tuple[Finding, ...]:
+        """The findings with the numbers of the balances."""
+        gains = held_out.gains(self.workspace, self.selection.best)
+        return verdict.findings(self.selection, gains, self.unseen, self.measured, self.spread)
+
+    @cached_property
+    def estimated(self) -> tuple[tuple[Finding, ...], Estimation | None]:
+        """The findings with their numbers refined on the simulation, where that is asked for and can be done,
+        and how they were estimated."""
+        best = self.selection.best
+        if not self.named:
+            return (), None
+        if self.kept:
+            return self.named, refined.from_balances(best, self.kept)
+        self.report(0.95, "refining the numbers on the simulation")
+        found, estimation = refined.refine(self.robot, self.recording, best, self.named, self.workers)
+        return followed(best, found, estimation), estimation
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Why the numbers are those of the balances, where a refinement was tried."""
+        estimation = self.estimated[1]
+        if estimation is None or self.kept or not estimation.why:
+            return ()
+        return (f"numbers are those of the torque balances: {estimation.why}",)

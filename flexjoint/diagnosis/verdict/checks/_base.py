@@ -1,0 +1,48 @@
+"""What a check is: it looks at a set of causes, and objects to those that cannot be reported as they are."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, Generic, TypeVar
+
+from flexjoint.diagnosis.search.selection import Selection
+from flexjoint.diagnosis.settings import Settings
+from flexjoint.diagnosis.verdict.cases import Case
+from flexjoint.effects import Planned
+
+Looked = TypeVar("Looked", bound=Case)
+
+
+@dataclass(frozen=True)
+class Objection:
+    """A cause that is not to be reported as it is.
+
+    `evidence` is what the check compares with its limit, `why` completes "X is not reported: ...". Where
+    `simpler`, the best simpler alternative takes its place, if one is worth its price. `instead` is the set
+    without it, where the check had to make that to judge.
+    """
+
+    effect: Planned
+    evidence: float
+    why: str
+    simpler: bool = False
+    instead: Selection | None = None
+
+
+class Check(ABC, Generic[Looked]):
+    """One rule by which a cause is dropped or replaced: its name, stage and reason, and its limit."""
+
+    name: ClassVar[str]
+    stage: ClassVar[str]
+    reason: ClassVar[str]  # one sentence
+    once: ClassVar[bool] = False  # whether it is done after its first objection
+    noted: ClassVar[bool] = True  # whether what it does is told among the notes
+
+    @abstractmethod
+    def limit(self, settings: Settings) -> float:
+        """What an objection's evidence is compared with."""
+
+    @abstractmethod
+    def objections(self, case: Looked) -> tuple[Objection, ...]:
+        """Causes of the set that must go, none where all may stay; several go together."""

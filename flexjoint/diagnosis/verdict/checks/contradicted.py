@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+from flexjoint.diagnosis.search.criteria import contradicted
+from flexjoint.diagnosis.settings import Settings
+from flexjoint.diagnosis.verdict.cases import Case
+from flexjoint.diagnosis.verdict.checks._base import Check, Objection
+from flexjoint.diagnosis.verdict.edits import bare
+
+
+class ContradictedByABalance(Check[Case]):
+    name = "contradicted by a balance"
+    stage = "balances"
+    reason = "A cause that is real does not leave many times more in another balance."
+
+    def limit(self, settings: Settings) -> float:
+        return settings.search.cleared
+
+    def objections(self, case: Case) -> tuple[Objection, ...]:
+        best = case.selection.best
+        denied = next((e for e in best.effects if contradicted(best, bare(best, e))), None)
+        if denied is None:
+            return ()
+        why = "it lowers one balance and raises another, which shows no such error"
+        return (Objection(denied, self.limit(best.settings), why),)

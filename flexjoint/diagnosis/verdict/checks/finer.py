@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from flexjoint.diagnosis.regression.fit import Fit
+from flexjoint.diagnosis.result import Estimation, Finding
+from flexjoint.diagnosis.settings import Settings
+from flexjoint.diagnosis.verdict.cases import StatedCase
+from flexjoint.diagnosis.verdict.checks._base import Check, Objection
+from flexjoint.diagnosis.verdict.checks._numbers import correlation, distance, fitted_number
+from flexjoint.effects import Parameter, numbers_beyond
+
+
+class FinerThanKnown(Check[StatedCase]):
+    name = "finer than known"
+    stage = "findings"
+    reason = "A law whose extra parameters are not known to be there is the simpler law."
+
+    def limit(self, settings: Settings) -> float:
+        return settings.verdict.sure
+
+    def objections(self, case: StatedCase) -> tuple[Objection, ...]:
+        best = case.selection.best
+        why = "the data do not support its extra parameters"
+        # one at a time: beside the law in its place, the others have other numbers
+        return tuple(
+            Objection(f.planned, self.limit(best.settings), why, simpler=True)
+            for f in finer(best, *case.estimated)[:1]
+        )
+
+
+def finer(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
+    """Findings that are a simpler law with numbers added of which none is known to be there, or the numbers
+    added without that law (a static friction where nothing rubs), or with numbers apart that are not known to
+    differ."""
+    return tuple(f for f in found if estimation is not None and _finer(best, f, estimation))
+
+
+def _finer(best: Fit, finding: Finding, estimation: Estimation) -> bool:
+    limits = best.settings.verdict
+    effect = finding.planned.effect
+    if effect.alike:
+        one, other = (param for param in effect.params if param.name in effect.alike)
+        (x, std), (y, other_std) = (fitted_number(finding, param) for param in (one, other))
+        tight = correlation(finding, estimation, [one, other])[0, 1]
+        spread = std**2 + other_std**2 - 2.0 * tight * std * other_std
+        return bool((x - y)[0] ** 2 < limits.sure**2 * spread[0])
+    shapes = [p for p in effect.params if p.null is None and p.size == 1 and not p.wraps]
+    if effect.contains and any(_any_shape(finding, p) for p in shapes):
+        return True
+    for name in effect.contains:
+        added = numbers_beyond(effect, name)
+        parts = [added, [p for p in effect.nulls if p not in added]] if added else []
+        if any(all(distance(best, finding, p, estimation, ()) < limits.sure for p in part) for part in parts):
+            return True
+    return False
+
+
+def _any_shape(finding: Finding, shape: Parameter) -> bool:
+    """Whether a law's shape may as well be at its bound, where the law is a simpler one."""
+    value, std = fitted_number(finding, shape)
+    return bool(value[0] - std[0] <= shape.low or value[0] + std[0] >= shape.high)

@@ -1,0 +1,55 @@
+"""What a check may do to a set of causes: take one out, or put an alternative in its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, score, worthwhile
+from flexjoint.diagnosis.search.selection import Selection, choose
+from flexjoint.effects import Planned
+
+
+def plainer(selection: Selection, shrunk: Planned) -> Selection:
+    """The selection with its best rival in the place of a law that has shrunk, or without that law where no
+    rival is worth its price."""
+    best = selection.best
+    k = next(k for k, e in enumerate(best.effects) if e.key == shrunk.key)
+    simplest = bare(best, best.effects[k])
+    fits = [
+        r
+        for r in selection.rivals[k]
+        if len(r.effects) == len(best.effects) and worthwhile(r, simplest, r.effects[-1])
+    ]
+    if not fits:
+        return without(selection, shrunk)
+    rival = choose(fits)
+    settled = at_own_level(rival)
+    if degenerate(settled.workspace, settled.effects[-1]):
+        return without(selection, shrunk)
+    return given_way(selection, k, rival, settled)
+
+
+def given_way(selection: Selection, k: int, rival: Fit, settled: Fit) -> Selection:
+    """The selection with a rival, at its own level, in the place of effect k, with rivals of its own."""
+    kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
+    left = [fit(settled.workspace, r.effects) for r in selection.rivals[k] if r is not rival]
+    return replace(selection, best=settled, rivals=(*kept, tuple(sorted(left, key=score))))
+
+
+def without(selection: Selection, effect: Planned) -> Selection:
+    """The selection with one of its causes taken out, the others and their rivals fitted again."""
+    best = selection.best
+    keep = [k for k, e in enumerate(best.effects) if e.key != effect.key]
+    left = at_own_level(fit(best.workspace, [best.effects[k] for k in keep]))
+
+    def again(rivals: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        sets = [[e for e in rival.effects if e.key != effect.key] for rival in rivals]
+        return tuple(sorted((fit(left.workspace, effects) for effects in sets), key=score))
+
+    return replace(selection, best=left, rivals=tuple(again(selection.rivals[k]) for k in keep))
+
+
+def bare(best: Fit, effect: Planned) -> Fit:
+    """The fit without an effect, the others fitted again at the same noise level."""
+    return fit(best.workspace, [e for e in best.effects if e is not effect])

@@ -1,0 +1,47 @@
+"""What to record next so that what is open gets decided."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from flexjoint.diagnosis.result import Finding, Unexplained
+from flexjoint.recording.table import Recording
+from flexjoint.robot.robot import Robot
+
+
+def advice(
+    robot: Robot,
+    recording: Recording,
+    findings: Sequence[Finding],
+    left: Sequence[Unexplained],
+    blind: Sequence[tuple[str, str | None]],
+) -> str:
+    """A sentence: the sensor, load or motion that would break a tie or show what was not excited."""
+    tied = [f for f in findings if f.indistinguishable]
+    lacking = [
+        f"{channel}.{joint.name}"
+        for joint in robot.joints
+        for channel in ("q", "theta", "tau_t")
+        if not recording.has(channel, joint.name) and not joint.rigid
+    ]
+    if tied:
+        first = tied[0]
+        rivals = ", ".join(_name(t.effect, t.joint) for t in first.indistinguishable)
+        own = [name for name in lacking if name.endswith(f".{first.joint}")] or lacking
+        extra = f"measure {own[0]} too" if own else "repeat the motion with a known payload"
+        return f"To tell {_name(first.effect, first.joint)} from {rivals}: {extra}."
+    if left:
+        worst = left[0]
+        return (
+            f"Record slow and fast sweeps of {worst.joint} over its whole range: what is left of its"
+            f" {worst.balance} balance depends on {worst.against}."
+        )
+    if blind:
+        joints = sorted({joint for _, joint in blind if joint is not None})
+        where = f" of {', '.join(joints)}" if joints else ""
+        return f"For what was not excited: a motion{where} with reversals, high load and full range."
+    return ""
+
+
+def _name(effect: str, joint: str | None) -> str:
+    return f"{effect} on {joint}" if joint else effect

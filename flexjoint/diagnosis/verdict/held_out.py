@@ -1,0 +1,130 @@
+"""What a set of causes gains on data that its fit did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from flexjoint.core.errors import FlexJointError
+from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compare
+from flexjoint.diagnosis.regression.fit import Fit, fit, shifts
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.result import Gain
+from flexjoint.effects import Planned
+from flexjoint.recording.noise import white_noise
+from flexjoint.recording.table import MEASURED, Recording
+from flexjoint.robot.robot import Robot
+
+
+def held_out_blocks(time: np.ndarray, block: float) -> np.ndarray:
+    """(N,) bool: samples that a fit does not see (time from the recording's start; every second
+    `block` [s])."""
+    return np.floor(time / block).astype(int) % 2 == 1
+
+
+def gains(workspace: Workspace, best: Fit) -> list[float]:
+    """Share of the nominal model's held-out error that each cause removes: refitted on the other blocks,
+    with it and without it."""
+    block = workspace.settings.verdict.held_out_block
+    away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time, block)
+    if not np.any(away) or np.all(away):
+        away = np.arange(workspace.time.size) % 2 == 1
+    level = best.workspace.temper
+    seen, unseen = workspace.at(level).only(~away), workspace.at(level).only(away)
+    noise = float(np.sum(1.0 / level)) * float(np.sum(away)) * workspace.whitening.freedom / len(level)
+
+    def error(effects: Sequence[Planned]) -> float:
+        fitted = fit(seen, effects)
+        rest = fitted.workspace.rest(fitted.y) * unseen.weights
+        return float(rest @ rest)
+
+    everything, none = error(best.effects), error([])
+    whole = max(none - min(noise, everything), 1e-300)
+    out = []
+    for k in range(len(best.effects)):
+        without = none if len(best.effects) == 1 else error([e for i, e in enumerate(best.effects) if i != k])
+        out.append(float(np.clip((without - everything) / whole, 0.0, 1.0)))
+    return out
+
+
+def comparison(
+    robot: Robot,
+    recording: Recording,
+    workspace: Workspace,
+    best: Fit,
+    known: Gain | None = None,
+    nothing: Fit | None = None,
+) -> Gain | None:
+    """Simulation against the held-out blocks, before and after; the parameters come from the other blocks.
+    None where the recording cannot drive a simulation. Of `known`, an earlier comparison, the nominal model's
+    part is taken. With `nothing`, the fit without causes, each of the two has its nominal numbers where it
+    would have them by their tolerances."""
+    block = workspace.settings.verdict.held_out_block
+    away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time, block)
+    held_out = bool(np.any(away) and not np.all(away))
+    if held_out:
+        best = fit(workspace.at(best.workspace.temper).only(~away), best.effects)
+    first, last = robot, robot.extended(best.effects)
+    if nothing is not None:
+        if held_out:
+            nothing = fit(workspace.at(nothing.workspace.temper).only(~away), [])
+        first, last = robot.extended(shifts(nothing)), last.extended(shifts(best))
+    rows = (
+        held_out_blocks(recording.time - recording.time[0], block)
+        if held_out
+        else np.ones(len(recording.time), bool)
+    )
+
+    def measured(model: Robot) -> dict[str, Mapping[str, float]]:
+        return errors(recording, compare(model, recording, horizon=HORIZON), rows)
+
+    try:
+        before = measured(first) if known is None else known.before
+        after = measured(last) if best.effects else before
+    except FlexJointError:
+        return None
+    return Gain(held_out, HORIZON, before, after, {"rms": noise_floor(robot, recording)})
+
+
+def errors(recording: Recording, run: Comparison, rows: np.ndarray) -> dict[str, Mapping[str, float]]:
+    """RMS and NRMSE per channel over some rows; phi about its mean where both encoders are measured."""
+    rms: dict[str, float] = {}
+    nrmse: dict[str, float] = {}
+    for (channel, joint), simulated in run.simulated.items():
+        _add(rms, nrmse, f"{channel}.{joint}", recording.get(channel, joint), simulated, rows)
+    for joint in dict.fromkeys(joint for _, joint in run.simulated):
+        if ("q", joint) in run.simulated and ("theta", joint) in run.simulated:
+            measured = recording.get("theta", joint) - recording.get("q", joint)
+            phi = run.simulated["theta", joint] - run.simulated["q", joint]
+            both = np.isfinite(measured) & np.isfinite(phi)
+            _add(
+                rms, nrmse, f"phi.{joint}", measured - np.mean(measured[both]), phi - np.mean(phi[both]), rows
+            )
+    return {"rms": rms, "nrmse": nrmse}
+
+
+def _add(
+    rms: dict[str, float],
+    nrmse: dict[str, float],
+    name: str,
+    measured: np.ndarray,
+    simulated: np.ndarray,
+    rows: np.ndarray,
+) -> None:
+    error = (simulated - measured)[rows]
+    error = error[np.isfinite(error)]
+    if error.size:
+        rms[name] = float(np.sqrt(np.mean(error**2)))
+        spread = float(np.nanstd(measured))
+        if spread > 0.0:
+            nrmse[name] = rms[name] / spread
+
+
+def noise_floor(robot: Robot, recording: Recording) -> dict[str, float]:
+    """Predicted sensor noise per channel: no model can come below it."""
+    return {
+        f"{channel}.{joint}": white_noise(values)
+        for (channel, joint), values in recording.columns.items()
+        if channel in MEASURED and joint in robot.joint_names
+    }

@@ -1,0 +1,121 @@
+"""How far to believe a name, from what is left beside it.
+
+A cause that is the whole story of its balances leaves the sensors' noise in them; one that stands in for
+another leaves a shape of its own. Counted on planted machines (`make study`), some of which hold an effect
+that is in no catalogue: how often a name was right, by the variance that was left and by whether nominal
+numbers had to be implausible beside it. A logistic curve through these counts; docs/diagnosis_study.md shows
+what became of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from flexjoint.diagnosis.regression.fit import Fit
+from flexjoint.diagnosis.result import Estimation, Finding, Gain, Remaining, Removed
+from flexjoint.diagnosis.search.criteria import torque_shares
+from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.effects import Planned
+
+CERTAINLY_NOT = -40.0  # log odds below which a probability is 0 to rounding
+
+
+def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
+    """Largest variance, in that of the noise, of what is left in the balances that effect k of a set touches,
+    whitened alone or beside those before them, and its share of what was there with `nothing`; correlated
+    leftovers count as the few independent samples that they are."""
+    touched = torque_shares(best.workspace, best.effects, k) > 0.0
+    if not np.any(touched):
+        return 1.0, 1.0
+    touched[_most_telling(best, k)] = True
+    levels = best.workspace.levels(best.y)
+    row = int(np.argmax(np.where(touched, levels, 0.0)))
+    return float(levels[row]), float(levels[row] / nothing.workspace.temper[row])
+
+
+def _most_telling(best: Fit, k: int) -> int:
+    """The whitened balance in which effect k of a set leaves its largest mark: a friction of a motor may be
+    lost in the noise of its spring, and known from the load of its link alone."""
+    others = [e for i, e in enumerate(best.effects) if i != k]
+    mark = best.workspace.moved(others, best.effects).reshape(len(best.workspace.temper), -1)
+    return int(np.argmax(np.sum(mark**2, axis=1)))
+
+
+def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
+    """Probability that the name of effect k of a set is right which leaves so much, a share of what was
+    there, on a machine that leaves the sensors' noise alone."""
+    limits = best.settings.verdict
+    joint = best.effects[k].joint
+    crowd = max(0, sum(e.joint == joint for e in best.effects) - limits.crowd)
+    strained = limits.belief_implausible if best.workspace.strain > 1.0 else 0.0
+    decades = float(np.log10(max(1.0, left)))
+    against = limits.belief_per_decade * decades + strained + limits.belief_crowd * crowd - limits.belief
+    least = limits.cleared_belief if share < limits.cleared_share else 0.0
+    return max(least, float(1.0 / (1.0 + np.exp(against))))
+
+
+def on_background(
+    removed: Removed,
+    joints: Sequence[Remaining],
+    noise: float,
+    beside: int,
+    settings: VerdictSettings,
+) -> float:
+    """Probability that a name is right on a machine that always leaves something: many small errors that
+    nobody names. It is lower where the cause leaves more than other joints do, leaves a shape that a smooth
+    law of one signal would remove, or removes no more than such errors make themselves. `noise` [N m] is that
+    of the balance; so many causes are on its joint, this one included."""
+    own = next((j for j in joints if j.joint == removed.joint), None)
+    torque = own.torque if own is not None else removed.without
+    others = [np.sqrt(max(0.0, j.after**2 - j.noise**2)) / j.torque for j in joints if j is not own]
+    usual = float(np.median(others)) if others else settings.background_typical
+    least, most = settings.background_range
+    expected = float(np.hypot(min(max(usual, least), most) * torque, noise))
+    size = float(np.sqrt(max(removed.without**2 - removed.left**2, 1e-300)))
+    odds = (
+        settings.background_belief
+        - settings.background_more * _decades(removed.left / expected)
+        - settings.background_shape * _decades(removed.structured / (settings.background_shaped * size))
+        - settings.background_small * _decades(settings.background_large * torque / size)
+        - settings.belief_crowd * max(0, beside - settings.crowd)
+    )
+    return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
+
+
+def by_simulation(measured: Gain | None, planned: Planned, beside: int, settings: VerdictSettings) -> float:
+    """Probability that a name is right by the simulation of its joint on unseen data, whose error falls by
+    some factor: a wrong cause may make a balance small, but hardly what is simulated. 0 where that is not
+    known, or the cause is of no joint."""
+    if measured is None or planned.joint is None:
+        return 0.0
+    before, after = (table["nrmse"] for table in (measured.before, measured.after))
+    keys = [key for key in (f"{c}.{planned.joint}" for c in ("q", "theta", "phi")) if key in after]
+    factor = max((before[key] / max(after[key], 1e-300) for key in keys), default=0.0)
+    odds = settings.simulated_belief * float(np.log10(max(factor, 1e-6) / settings.simulated_factor))
+    odds -= settings.belief_crowd * max(0, beside - settings.crowd)
+    return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
+
+
+def _decades(ratio: float) -> float:
+    """Factors of ten by which a ratio is above 1."""
+    return float(np.log10(max(1.0, ratio)))
+
+
+def followed(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
+    """The findings, believed more where a position is missing and the simulation follows the readings to
+    their noise: what they leave in the balances may be those' own error (a motion made of the nominal model).
+    A near relative of the true effect may follow, too (a limit of the torque for one of the speed), so a name
+    is even odds at most by this."""
+    if estimation is None or not estimation.follows or not best.workspace.motion.missing:
+        return tuple(found)
+    return tuple(_at_least(f, best.settings.verdict.followed_belief) for f in found)
+
+
+def _at_least(finding: Finding, belief: float) -> Finding:
+    believed = max(finding.reliability, belief)
+    return replace(
+        finding, reliability=believed, probability=finding.probability / finding.reliability * believed
+    )

@@ -1,0 +1,84 @@
+"""Rivals that explain a recording as well as a cause, and how much the cause is preferred to the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.result import Tie
+from flexjoint.diagnosis.search.criteria import score, unexplained_energy
+from flexjoint.effects import Kind, Planned
+
+
+def ties(
+    best: Fit, planned: Planned, rivals: Sequence[Fit], explained: float | None = None
+) -> tuple[Tie, ...]:
+    """Rivals that fit as well. One that merely contains the found effect is no rival of it. `explained` is
+    the energy that the effect explains, where it is not of this recording alone."""
+    limits = best.settings.verdict
+    out: list[Tie] = []
+    if not rivals:
+        return ()
+    if explained is None:
+        explained = fit(best.workspace, [e for e in best.effects if e is not planned]).energy - best.energy
+    for rival in rivals:
+        other = rival.effects[-1]
+        delays = [e.effect.kind is Kind.TIMING for e in (planned, other)]
+        moved = any(delays)
+        margin = (
+            limits.tie
+            + (limits.tie_moved if moved else 0.0)
+            + best.settings.search.unexplained_share * unexplained_energy(best)
+        )
+        behind = score(rival) - score(best)
+        if planned.effect.name in other.effect.contains or len(out) >= limits.most_ties:
+            continue
+        why = ""
+        # a load along shifted angles is known to first order in the shift
+        errors = best.settings.search
+        share = errors.method_error if all(delays) else errors.finer_method_error
+        little = rival.energy - best.energy < share * explained
+        if behind <= margin:
+            why = f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides)"
+        elif little and all(delays):
+            why = f"fits these data as well to first order in a delay (score {behind:+.1f})"
+        elif little and not _worse_throughout(best, rival):
+            why = f"fits these data as well but for single moments (score {behind:+.1f})"
+        if why:
+            told = f"{why}: with these sensors and this motion both leave the same trace"
+            out.append(Tie(other.effect.name, other.joint, told))
+    return tuple(out)
+
+
+def _worse_throughout(best: Fit, rival: Fit) -> bool:
+    """Whether a rival leaves more all over the recording. Errors of the method (a filter round an onset or a
+    kink) sit in single moments, so that the differences of time blocks scatter as much as they add up to
+    (Vuong 1989, with blocks for samples)."""
+    differences = _by_block(rival) - _by_block(best)
+    scatter = float(np.sqrt(np.sum(differences**2)))
+    return float(np.sum(differences)) > best.settings.verdict.throughout * scatter
+
+
+def _by_block(result: Fit) -> np.ndarray:
+    """Energy that a fit leaves in each time block, the nominal numbers at their best."""
+    workspace, time = result.workspace, result.workspace.time
+    settings = result.settings
+    whole = float(time[-1] - time[0])
+    length = min(settings.regression.time_block, whole / settings.verdict.time_blocks)
+    blocks = np.tile(((time - time[0]) / length).astype(int), len(workspace.balances.rows))
+    return np.bincount(blocks, (workspace.rest(result.y) * workspace.weights) ** 2)
+
+
+def preferred(best: Fit, planned: Planned, rivals: Sequence[Fit], tied: Sequence[Tie]) -> float:
+    """Probability of a cause, or of one that it is tied with, against its rivals: from the margin over the
+    best one that is not a tie."""
+    equal = {(tie.effect, tie.joint) for tie in tied}
+    name = planned.effect.name  # a law that contains it is no rival: it says the same, and more
+    others = [
+        r for r in rivals if r.effects[-1].key not in equal and name not in r.effects[-1].effect.contains
+    ]
+    margin = min((score(r) - score(best) for r in others), default=40.0)
+    against = 1.0 / (1.0 + np.exp(-0.5 * np.clip(margin, -40.0, 40.0)))
+    return float(against)

@@ -1,0 +1,189 @@
+"""What is left of each balance on data that a fit did not see, and how much of it has a shape.
+
+Of a real machine something is always left: many small errors that nobody names. A cause that is there leaves
+them; one that stands in for another leaves a shape of its own, which a smooth law of one signal would remove
+as well. So what is left is regressed on one signal after the other, on the blocks that the fit saw, and
+judged on those that it did not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances
+from flexjoint.diagnosis.regression.deviations import held
+from flexjoint.diagnosis.regression.fit import Fit, fit, settled_numbers
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.result import Remaining, Removed
+from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.diagnosis.verdict.held_out import held_out_blocks
+from flexjoint.diagnosis.verdict.residuals import smooth_curve
+from flexjoint.effects import Planned, Signals, Site
+
+RIDGE = 1e-3  # of a curve's normal matrix, on its mean diagonal: corners that few samples visit stay flat
+NEIGHBOURS = ("q", "tau_t")  # signals of a neighbour that may leave a trace: a cable over two joints
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Filtered residuals [N m] of all balances on usable samples, by sets of causes."""
+
+    workspace: Workspace
+    away: np.ndarray  # (N,) bool: samples that the fits did not see
+    before: np.ndarray  # (rows, N) of the nominal model
+    after: np.ndarray  # of the whole set
+    without: tuple[np.ndarray, ...]  # of the same model without each of its causes
+
+    def noise(self, removed: Removed) -> float:
+        """[N m] what the sensors' noise alone leaves of the balance in which a cause was measured."""
+        names = self.workspace.robot.joint_names
+        row = next(
+            k
+            for k, row in enumerate(self.workspace.balances.rows)
+            if (names[row.joint], row.balance) == (removed.joint, removed.balance)
+        )
+        return float(self.workspace.deviation[row])
+
+
+def unseen(best: Fit, nothing: Fit) -> Unseen:
+    """Residuals of a set of causes, fitted on every second block of two seconds, of the same model without
+    each of them, and of the nominal model."""
+    workspace = best.workspace
+    time, block = workspace.balances.chains.t, workspace.settings.verdict.held_out_block
+    blocks = held_out_blocks(time[0] + workspace.time, block)
+    away = held_out_blocks(time, block)[workspace.readings.valid]
+    if np.any(blocks) and not np.all(blocks):
+        workspace = workspace.at(workspace.temper).only(~blocks)
+    else:
+        away = np.arange(away.size) % 2 == 1  # too short for blocks
+    fitted = fit(workspace, best.effects)
+    workspace, numbers = fitted.workspace, settled_numbers(fitted)
+    jumped = workspace.jumped(numbers)[:, workspace.readings.valid]
+
+    def left(effects: Sequence[Planned]) -> np.ndarray:
+        return _of(workspace, [*workspace.with_nominal(effects), *held(workspace, numbers)]) - jumped
+
+    without = [left([e for e in fitted.effects if e is not one]) for one in fitted.effects]
+    return Unseen(best.workspace, away, _nominal(nothing), left(fitted.effects), tuple(without))
+
+
+def _nominal(nothing: Fit) -> np.ndarray:
+    """(rows, N) what the nominal model leaves. Encoder offsets, free in each recording, are no error."""
+    workspace = nothing.workspace
+    offsets = [e for e in held(workspace, settled_numbers(nothing)) if e.effect.site is Site.SENSOR]
+    return _of(workspace, [*workspace.nominal, *offsets])
+
+
+def _of(workspace: Workspace, effects: Sequence[Planned]) -> np.ndarray:
+    balances = workspace.balances
+    return np.asarray(balances.time_series(balances.residual(effects))[:, workspace.readings.valid])
+
+
+# ------------------------------------------------------------------ causes
+def removed(data: Unseen, k: int) -> Removed:
+    """What cause k of a set removes, in the balance that it clears most."""
+    workspace, away = data.workspace, data.away
+    without, left = (np.mean(x[:, away] ** 2, axis=1) for x in (data.without[k], data.after))
+    noise = np.maximum(workspace.deviation**2, 1e-300)
+    row = int(np.argmax((without - left) / np.maximum(left, noise)))
+    where = workspace.balances.rows[row]
+    joint = workspace.robot.joints[where.joint].name
+    share, against = shape(data, data.after[row], joint)
+    return Removed(
+        joint, where.balance, float(np.sqrt(without[row])), float(np.sqrt(left[row])),
+        float(np.sqrt(share * left[row])), against,
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------ joints
+def remaining(data: Unseen) -> tuple[Remaining, ...]:
+    """What is left of each joint's torque."""
+    workspace, away = data.workspace, data.away
+    noise = _noise(workspace)
+    out = []
+    for j, joint in enumerate(workspace.robot.joints):
+        before, after = (_total(workspace.balances, x, j) for x in (data.before, data.after))
+        if before is None or after is None:
+            continue
+        share, against = shape(data, after, joint.name)
+        left = float(np.sqrt(np.mean(after[away] ** 2)))
+        out.append(
+            Remaining(
+                joint.name,
+                float(workspace.torque_scale[j]),
+                float(np.sqrt(np.mean(before[away] ** 2))),
+                left,
+                noise[j],
+                float(np.sqrt(share)) * left,
+                against,
+            )
+        )
+    return tuple(out)
+
+
+def _total(balances: Balances, series: np.ndarray, j: int) -> np.ndarray | None:
+    """(N,) the joint's torque error: motor and link balance together, in which no spring torque appears."""
+    rows = [k for k, row in enumerate(balances.rows) if row.joint == j and row.balance in (MOTOR, LINK)]
+    return np.sum(series[rows], axis=0) if rows else None
+
+
+def _noise(workspace: Workspace) -> list[float]:
+    """RMS [N m] that the sensors' noise has in each joint's torque error."""
+    balances, readings = workspace.balances, workspace.readings
+    nominal = list(workspace.nominal)
+    loud, quiet = (b.time_series(b.residual(nominal))[:, readings.valid] for b in (balances, balances.quiet))
+    smoothing = float(np.sqrt(np.mean(balances.filter.gain**2)))  # of a torque's white noise
+    out = []
+    for j in range(len(workspace.robot.joints)):
+        positions = _total(balances, loud - quiet, j)
+        moved = 0.0 if positions is None else float(np.std(positions))
+        out.append(float(np.hypot(moved, smoothing * float(readings.noise["torque"][j]))))
+    return out
+
+
+def unfinished(joints: Sequence[Remaining], settings: VerdictSettings) -> tuple[Remaining, ...]:
+    """Joints of which the causes named are not all: more is left than noise and a background make, and it is
+    either most of what there was or has a shape that a smooth law of one signal removes."""
+    out = []
+    for joint in joints:
+        small = joint.after < max(settings.above_noise * joint.noise, settings.finished * joint.torque)
+        shaped = joint.structured**2 > settings.unfinished_shape * joint.before**2
+        if not small and (shaped or joint.after**2 > settings.unfinished_share * joint.before**2):
+            out.append(joint)
+    return tuple(out)
+
+
+# ------------------------------------------------------------------ shape
+def shape(data: Unseen, series: np.ndarray, joint: str) -> tuple[float, str]:
+    """Share of a joint's unseen leftover (N,) that a smooth law of one signal removes, fitted on the other
+    blocks, and that signal."""
+    best, most = "t", 0.0
+    seen, away = ~data.away, data.away
+    if not np.any(seen) or not np.any(away):
+        return most, best
+    whole = max(float(np.sum(series[away] ** 2)), 1e-300)
+    for name, x in signals(data.workspace, joint).items():
+        design = smooth_curve(x)
+        normal = design[seen].T @ design[seen]
+        normal += RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
+        rest = series[away] - design[away] @ np.linalg.solve(normal, design[seen].T @ series[seen])
+        share = 1.0 - float(np.sum(rest**2)) / whole
+        if share > most:
+            best, most = name, share
+    return most, best
+
+
+def signals(workspace: Workspace, joint: str) -> Mapping[str, np.ndarray]:
+    """(N,) signals that an error of a joint may depend on: its own, its neighbours' positions and loads."""
+    names = workspace.robot.joint_names
+    at = names.index(joint)
+    own = workspace.signals(joint)
+    out = {name: getattr(own, name) for name in ("q", "dtheta", "tau_t", "phi", "tau_m", "t")}
+    for k in (at - 1, at + 1):
+        if 0 <= k < len(names):
+            other: Signals = workspace.signals(names[k])
+            out |= {f"{name}.{names[k]}": getattr(other, name) for name in NEIGHBOURS}
+    return {name: x for name, x in out.items() if float(np.ptp(x)) > 0.0}

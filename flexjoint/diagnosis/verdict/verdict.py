@@ -1,0 +1,228 @@
+"""From a selected set of effects to a diagnosis: verdict, findings, ties, tolerances, what was not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from flexjoint.diagnosis.regression.fit import Fit
+from flexjoint.diagnosis.regression.uncertainty import Errors, standard_errors
+from flexjoint.diagnosis.result import Finding, Fitted, Gain, Ranked, WithinTolerance
+from flexjoint.diagnosis.search.candidates import Candidate
+from flexjoint.diagnosis.search.criteria import (
+    strained,
+)
+from flexjoint.diagnosis.search.selection import Key, Selection
+from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.diagnosis.verdict.reliability import by_simulation, left_by, on_background, reliability
+from flexjoint.diagnosis.verdict.ties import preferred, ties
+from flexjoint.diagnosis.verdict.unseen import Unseen, remaining, removed
+from flexjoint.effects import Kind, Planned, Site
+
+
+def findings(
+    selection: Selection,
+    gains: Sequence[float],
+    data: Unseen,
+    measured: Gain | None,
+    spread: Mapping[Key, Errors] | None = None,
+) -> tuple[Finding, ...]:
+    """The chosen effects as findings, the largest gain first; `spread` replaces their standard errors."""
+    best = selection.best
+    if not best.effects:
+        return ()
+    errors = standard_errors(best)
+    joints = remaining(data)
+    sliding = best.workspace.robot.prismatic
+    out: list[Finding] = []
+    for k, planned in enumerate(best.effects):
+        listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
+        rivals = selection.rivals[k] if k < len(selection.rivals) else ()
+        rivals = tuple(rival for rival in rivals if not strained(rival, best))
+        tied = ties(best, planned, rivals, selection.explains.get(planned.key))
+        left, share = left_by(best, selection.nothing, k)
+        cleared = removed(data, k)
+        # what a sensor adds to its reading is no rival of what moves the joint
+        beside = sum(e.joint == planned.joint and e.effect.site is not Site.SENSOR for e in best.effects)
+        believed = max(
+            reliability(best, left, share, k),
+            on_background(cleared, joints, data.noise(cleared), beside, best.settings.verdict),
+            by_simulation(measured, planned, beside, best.settings.verdict),
+        )
+        out.append(
+            Finding(
+                planned.effect.name,
+                planned.joint,
+                preferred(best, planned, rivals, tied) * believed,
+                _parameters(
+                    planned, (spread or {}).get(planned.key, errors[k]), listed, planned.joint in sliding
+                ),
+                None if planned.since is None else planned.since + best.workspace.readings.start,
+                gains[k],
+                str(planned.effect.kind),
+                planned,
+                tied,
+                hidden_by_refit=_hidden_by_refit(selection, k),
+                note="change against the nominal model's own entry" if listed is not None else "",
+                left=left,
+                reliability=believed,
+                removed=cleared,
+            )
+        )
+    return tuple(sorted(out, key=lambda f: -f.gain))
+
+
+def merged(
+    found: Sequence[Finding], candidates: Sequence[Candidate], settings: VerdictSettings
+) -> tuple[Finding, ...]:
+    """Timing causes that every joint with the sensor shares, with one value, as one finding of the robot."""
+    out = list(found)
+    groups: dict[object, list[Finding]] = {}
+    for f in found:
+        if f.kind == Kind.TIMING and f.joint is not None:
+            words = tuple(f.planned.values.get(w.name) for w in f.planned.effect.words)
+            groups.setdefault((f.effect, words), []).append(f)
+    for group in groups.values():
+        effect, words = group[0].effect, tuple(v for v in group[0].parameters.values() if isinstance(v, str))
+        joints = {
+            c.joint for c in candidates if c.effect.name == effect and tuple(v for _, v in c.words) == words
+        }
+        if len(group) == 1 or {f.joint for f in group} != joints or any(f.since is not None for f in group):
+            continue
+        name = group[0].planned.effect.nulls[0].name
+        fitted = [p for p in (f.parameters[name] for f in group) if isinstance(p, Fitted)]
+        values = np.array([np.ravel(p.value)[0] for p in fitted])
+        weights = np.array([max(float(np.ravel(p.std)[0]), 1e-12) ** -2.0 for p in fitted])
+        mean = float(np.sum(weights * values) / np.sum(weights))
+        if np.any(np.abs(values - mean) * np.sqrt(weights) > settings.same):
+            continue
+        shared = {**group[0].parameters, name: Fitted(mean, float(np.sum(weights) ** -0.5), "s")}
+        one = replace(
+            group[0],
+            joint=None,
+            parameters=shared,
+            gain=min(1.0, sum(f.gain for f in group)),
+            probability=max(f.probability for f in group),
+            members=tuple(f.planned.with_values({name: mean}) for f in group),
+            indistinguishable=(),
+            note=f"shared by {', '.join(str(f.joint) for f in group)}",
+        )
+        out = [f for f in out if f not in group] + [one]
+    return tuple(sorted(out, key=lambda f: -f.gain))
+
+
+def _parameters(
+    planned: Planned, spread: dict[str, list[float]], listed: Planned | None, prismatic: bool
+) -> dict[str, Fitted | str]:
+    out: dict[str, Fitted | str] = {}
+    for param in planned.effect.params:
+        value: Any = planned.values[param.name]
+        unit = param.unit_at(prismatic)
+        if listed is not None and param.size == 1:
+            value = value - listed.values[param.name]
+        std = spread.get(param.name, [0.0])
+        numbers = [value] if param.size == 1 else list(value)
+        at_bound = any(np.isclose(v, (param.low, param.high), rtol=1e-9).any() for v in numbers)
+        if param.size == 1:
+            out[param.name] = Fitted(float(value), std[0], unit, at_bound)
+        else:
+            out[param.name] = Fitted(tuple(float(v) for v in value), tuple(std), unit, at_bound)
+    for word in planned.effect.words:
+        chosen = planned.values.get(word.name)
+        if chosen is not None:
+            out[word.name] = str(chosen)
+    return out
+
+
+def _hidden_by_refit(selection: Selection, k: int) -> bool:
+    """Whether freeing the nominal numbers altogether would absorb most of what the effect explains."""
+    best = selection.best
+    workspace = best.workspace
+    without = [e for i, e in enumerate(best.effects) if i != k]
+    free = len(workspace.nuisance)
+    if not free:
+        return False
+    rest = workspace.residual(without)
+    freed = np.array([number.of_the_robot for number in workspace.nuisance], dtype=float)
+    y, normal = rest * workspace.weights, workspace.gram - np.diag(freed)
+    ridge = 1e-6 * np.trace(normal) / free * np.eye(free)
+    pull = np.linalg.solve(normal + ridge, workspace.pull(rest))
+    absorbed = y - workspace.along(pull) * workspace.weights
+    own = best.y * workspace.weights
+    here, refit = float(y @ y - own @ own), float(y @ y - absorbed @ absorbed)
+    return refit > best.settings.verdict.hidden * here > 0.0
+
+
+def within_tolerance(best: Fit) -> tuple[WithinTolerance, ...]:
+    """Nominal numbers that the data show to be off by less than would make them a cause."""
+    return tuple(
+        shown for shown, deviations in _off(best) if abs(deviations) <= best.settings.verdict.believed
+    )
+
+
+def not_believed(best: Fit) -> tuple[str, ...]:
+    """Notes on nominal numbers that would have to be far off: something else is wrong there."""
+    return tuple(
+        f"{shown.effect} on {shown.joint} would have to be {deviations:+.1f} times its tolerance off to make"
+        " the balances smaller: not believed, something else is wrong there"
+        for shown, deviations in _off(best)
+        if abs(deviations) > best.settings.verdict.believed
+    )
+
+
+def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
+    """Actuators' numbers that the data show to be off, and by how many prior deviations."""
+    workspace = best.workspace
+    pull, error = -workspace.deviations(best.y), workspace.deviation_errors()
+    found, limits = {e.key for e in best.effects}, best.settings.verdict
+    out = []
+    for number, value, std in zip(workspace.nuisance, pull, error, strict=True):
+        if (
+            number.joint is None
+            or abs(value) < max(limits.notable * std, limits.least_off)
+            or (number.name, number.joint) in found
+        ):
+            continue
+        change = float(value) * number.spread
+        name = number.name
+        if name == "motor_damping":
+            name, change = "motor_viscous_friction", change * workspace.robot.joint(number.joint).drive.D_m
+        elif name not in ("spring_stiffness", "spring_damping", "motor_inertia"):
+            continue
+        out.append((WithinTolerance(name, number.joint, change), float(value)))
+    return out
+
+
+def not_excited(selection: Selection, candidates: Sequence[Candidate]) -> tuple[tuple[str, str | None], ...]:
+    """Effects that this recording could not have shown unless they were large."""
+    limits, search = selection.best.settings.verdict, selection.best.settings.search
+    seen: set[tuple[str, str | None]] = set()
+    for scored in (*selection.scan, *selection.last_scan):
+        needed = np.sqrt(limits.detectable) / max(scored.sight, 1e-9)
+        limit = (
+            search.most_amplitude if scored.trace.kind == "whole" else limits.seen_share / search.trial_share
+        )
+        if needed <= limit:
+            seen.add(scored.candidate.key)
+    named = {e.key for e in selection.best.effects}
+    return tuple(dict.fromkeys(c.key for c in candidates if c.key not in seen and c.key not in named))
+
+
+def ranking(selection: Selection) -> tuple[Ranked, ...]:
+    """Every candidate alone on the nominal model: share of its energy that it removes, to first order."""
+    whole = max(selection.nothing.energy, 1e-300)
+    out: list[Ranked] = []
+    for scored in selection.scan:
+        planned = scored.planned()
+        out.append(
+            Ranked(
+                planned.effect.name,
+                planned.joint,
+                float(np.clip(scored.removes / whole, 0.0, 1.0)),
+                planned.values,
+            )
+        )
+    return tuple(out)

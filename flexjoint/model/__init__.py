@@ -1,0 +1,1 @@
+"""The flexible-joint model: body, joints and effects; states and rates."""

@@ -1,0 +1,1 @@
+"""Contact of points, spheres and wheels with the ground."""

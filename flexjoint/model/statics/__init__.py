@@ -1,0 +1,1 @@
+"""The model at rest: equilibria, loads, limits, start states."""

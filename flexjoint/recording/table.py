@@ -1,0 +1,294 @@
+"""Recording: one table of measured signals over time (docs/formats.md), read, checked and written."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from flexjoint.core.errors import RecordingError, unknown
+from flexjoint.core.files import write_bytes
+from flexjoint.recording.messages import refusal, shown
+from flexjoint.recording.stamps import repaired
+
+UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "q": "rad",
+        "dq": "rad/s",
+        "theta": "rad",
+        "dtheta": "rad/s",
+        "tau_t": "N m",
+        "tau_m": "N m",
+        "tau_motor": "N m",
+        "q_ref": "rad",
+        "theta_ref": "rad",
+        "dtheta_ref": "rad/s",
+        "tau_ff": "N m",
+        "current": "A",
+        "temperature": "deg C",
+    }
+)
+MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")  # what a simulation is compared on
+MINIMUM_SAMPLES = 50
+LEAST_PRESENT = 0.05  # of a column's rows
+LARGEST = 1e9  # in the unit of any channel: no sensor of a robot shows as much, and fourth powers stay finite
+MOST_COLUMNS = 2000  # the 13 channels of 150 joints
+MOST_CELLS = 100_000_000  # 0.8 GB as numbers: an hour of 27 columns at 1 kHz
+MOST_BYTES = 2_000_000_000  # of a CSV file, whose cells are not known before it is read
+LONGEST_HEADER = 200_000  # bytes of a CSV's first line: 2000 names of 100
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Signals over time. `time` (N,) [s] strictly increasing; `columns` maps (channel, joint) to (N,),
+    SI and link-referred, NaN where a sample is missing. A pair that is absent was not measured. `notes` say
+    what was repaired."""
+
+    time: np.ndarray
+    columns: Mapping[tuple[str, str], np.ndarray]
+    name: str = "recording"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints that have any channel, in the table's order."""
+        return tuple(dict.fromkeys(joint for _, joint in self.columns))
+
+    @property
+    def duration(self) -> float:
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def period(self) -> float:
+        """Typical sampling period [s] (median)."""
+        return float(np.median(np.diff(self.time)))
+
+    def has(self, channel: str, joint: str) -> bool:
+        return (channel, joint) in self.columns
+
+    def get(self, channel: str, joint: str) -> np.ndarray:
+        """(N,) the samples, NaN where missing; UnknownNameError when it was not measured."""
+        if (channel, joint) not in self.columns:
+            raise unknown("channel", f"{channel}.{joint}", [f"{c}.{j}" for c, j in self.columns])
+        return self.columns[channel, joint]
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write as CSV or Parquet by the suffix; the file appears whole or not at all."""
+        write(self, path)
+
+    def between(self, start: float, stop: float) -> Recording:
+        """The part with start <= time < stop."""
+        keep = (self.time >= start) & (self.time < stop)
+        return Recording(
+            self.time[keep],
+            {k: v[keep] for k, v in self.columns.items()},
+            f"{self.name}[{start:g}:{stop:g}]",
+            self.notes,
+        )
+
+
+def make(
+    time: np.ndarray, columns: Mapping[tuple[str, str], np.ndarray], name: str = "recording"
+) -> Recording:
+    """A checked recording.
+
+    Args:
+        time: (N,) [s], or whole numbers in a unit that their size shows; what is repaired of it is noted
+            (docs/formats.md).
+        columns: (N,) by (channel, joint), NaN where a sample is missing.
+        name: of the recording in messages.
+
+    Raises RecordingError naming the column or row and what was expected.
+    """
+    stamps = time if isinstance(time, np.ma.MaskedArray) else np.asarray(time)
+    if stamps.dtype.kind not in "iuf":
+        stamps = np.asarray(stamps, dtype=float)
+    if stamps.ndim != 1 or stamps.size < MINIMUM_SAMPLES:
+        raise refusal(name, f"expected at least {MINIMUM_SAMPLES} samples, got {stamps.size}")
+    if not columns:
+        raise refusal(name, "no channel beside time; columns are <channel>.<joint>, e.g. q.elbow")
+    _check_size(stamps.size, len(columns) + 1, name)
+    arrays = {key: _checked(key, values, stamps.size, name) for key, values in columns.items()}
+    rows = repaired(stamps, arrays, name)
+    if rows.time.size < MINIMUM_SAMPLES:
+        raise refusal(name, f"expected at least {MINIMUM_SAMPLES} samples, got {rows.time.size} with a time")
+    for (channel, joint), array in rows.columns.items():
+        if not was_measured(array):
+            count = np.count_nonzero(np.isfinite(array))
+            raise refusal(
+                name,
+                f"column {shown(f'{channel}.{joint}')} holds {count} numbers in {array.size} rows; leave a"
+                " channel out that was not measured",
+            )
+    return Recording(rows.time, MappingProxyType(dict(rows.columns)), name, rows.notes)
+
+
+def _checked(key: tuple[str, str], values: np.ndarray, count: int, name: str) -> np.ndarray:
+    """(N,) the numbers of a column."""
+    channel, joint = key
+    column = shown(f"{channel}.{joint}")
+    if channel not in UNITS:
+        raise refusal(name, f"column {column}: {unknown('channel', shown(channel), UNITS)}")
+    array = np.asarray(values, dtype=float)
+    if array.shape != (count,):
+        raise refusal(name, f"{column} has {array.size} samples, time has {count}")
+    if np.any(np.isinf(array)):
+        raise refusal(name, f"{column} holds infinite values; leave such cells empty")
+    largest = float(np.max(np.abs(array), initial=0.0, where=np.isfinite(array)))
+    if largest > LARGEST:
+        raise refusal(
+            name,
+            f"{column} reaches {largest:.3g} {UNITS[channel]}, beyond {LARGEST:g}: no sensor shows that;"
+            " leave such cells empty",
+        )
+    return array
+
+
+def _check_size(rows: int, columns: int, name: object) -> None:
+    if columns > MOST_COLUMNS:
+        raise refusal(
+            name, f"{columns} columns, expected at most {MOST_COLUMNS}; leave out what is no channel"
+        )
+    if rows * columns > MOST_CELLS:
+        raise refusal(
+            name,
+            f"{rows} rows of {columns} columns, expected at most {MOST_CELLS:g} cells; cut the recording, or"
+            " leave channels out",
+        )
+
+
+def expect(given: object, verb: str) -> Recording:
+    """The recording that was handed to a function; RecordingError says what to call where it is something
+    else."""
+    if isinstance(given, Recording):
+        return given
+    if isinstance(given, str | os.PathLike):
+        told = f"the text {str(given)!r}; read it with read_recording({str(given)!r})"
+    else:
+        told = f"a {type(given).__name__}; read one with read_recording(path)"
+    raise RecordingError(f"{verb}: expected a recording, got {told}")
+
+
+def expect_several(given: object, verb: str) -> tuple[Recording, ...]:
+    """The recordings that were handed to a function, one or a sequence of them; see `expect`."""
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        if not given:
+            raise RecordingError(f"{verb}: no recording given; expected at least one")
+        return tuple(expect(item, verb) for item in given)
+    return (expect(given, verb),)
+
+
+def was_measured(values: np.ndarray) -> bool:
+    """Whether a column (N,) holds enough numbers to count as a channel."""
+    return int(np.count_nonzero(np.isfinite(values))) >= max(2, LEAST_PRESENT * values.size)
+
+
+def read(source: str | os.PathLike[str]) -> Recording:
+    """A recording from CSV or Parquet; RecordingError says what is wrong with the file."""
+    path = Path(source)
+    try:
+        there = path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a zero byte
+        there = False
+    if not there:
+        raise refusal(f"recording {path}", "does not exist; give a .csv or .parquet file", " ")
+    if path.stat().st_size == 0:
+        raise refusal(f"recording {path}", "is empty; expected a table with a time column", " ")
+    try:
+        if path.suffix == ".parquet":
+            table = _read_parquet(path)
+        elif path.suffix == ".csv":
+            table = _read_csv(path)
+        else:
+            raise refusal(path, f"expected a .csv or .parquet file, got {shown(path.suffix) or 'no suffix'}")
+        names = table.column_names  # decoded here, so that a bad one is caught
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise refusal(path, f"cannot be read as {path.suffix[1:]}: {reason}", " ") from None
+    return _from_table(table, names, path)
+
+
+def _read_parquet(path: Path) -> pa.Table:
+    with pa.parquet.ParquetFile(path) as file:
+        _check_size(file.metadata.num_rows, file.metadata.num_columns, path)
+        return file.read()
+
+
+def _read_csv(path: Path) -> pa.Table:
+    if path.stat().st_size > MOST_BYTES:
+        raise refusal(path, f"more than {MOST_BYTES:g} bytes; cut the recording, or write it as Parquet")
+    with path.open("rb") as file:
+        header = file.readline(LONGEST_HEADER)
+    if len(header) == LONGEST_HEADER:
+        raise refusal(path, f"its first line has more than {LONGEST_HEADER} bytes; expected names of columns")
+    _check_size(0, header.count(b",") + 1, path)
+    convert = pa.csv.ConvertOptions(null_values=["", "NaN", "nan", "NA", "null"], strings_can_be_null=True)
+    return pa.csv.read_csv(path, convert_options=convert)
+
+
+def _from_table(table: pa.Table, names: list[str], path: Path) -> Recording:
+    if not names or names[0] != "time":
+        first = repr(shown(names[0])) if names else "no column"
+        raise refusal(path, f"the first column must be `time` [s], got {first}")
+    repeated = sorted(name for name, count in Counter(names).items() if count > 1)
+    if repeated:
+        raise refusal(path, f"column {shown(repeated[0])} stands twice; keep one")
+    columns: dict[tuple[str, str], np.ndarray] = {}
+    for name in names[1:]:
+        channel, dot, joint = name.partition(".")
+        if not dot or not joint:
+            raise refusal(path, f"column '{shown(name)}' is not <channel>.<joint>, e.g. q.elbow")
+        columns[channel, joint] = _numbers(table.column(name), name, path)
+    return make(_stamps(table.column("time"), path), columns, str(path))
+
+
+def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
+    """(N,) floats, NaN where a cell is empty. Whole numbers above 2^53 are rounded."""
+    if pa.types.is_null(column.type):
+        return np.full(len(column), np.nan)
+    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+        raise refusal(path, f"column {shown(name)} holds {shown(column.type)}, expected numbers")
+    numbers = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    return np.array(numbers, dtype=float)
+
+
+def _stamps(column: pa.ChunkedArray, path: Path) -> np.ndarray:
+    """(N,) stamps: floats, or whole numbers as they are (masked where missing), since a float holds no
+    nanoseconds of today."""
+    kind = column.type
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        column, kind = (
+            column.cast(pa.timestamp("ns") if pa.types.is_timestamp(kind) else pa.duration("ns")),
+            None,
+        )
+        column = column.cast(pa.int64())
+    elif not pa.types.is_integer(kind):
+        return _numbers(column, "time", path)
+    missing = column.is_null().to_numpy(zero_copy_only=False)
+    whole = column.fill_null(0).to_numpy(zero_copy_only=False)
+    return np.ma.MaskedArray(whole, missing) if np.any(missing) else np.array(whole)
+
+
+def write(recording: Recording, path: str | os.PathLike[str]) -> None:
+    """Write as CSV or Parquet by the suffix; the file appears whole or not at all."""
+    out = Path(path)
+    data = {"time": recording.time}
+    data.update({f"{channel}.{joint}": values for (channel, joint), values in recording.columns.items()})
+    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in data.items()})
+    sink = io.BytesIO()
+    if out.suffix == ".parquet":
+        pa.parquet.write_table(table, sink, compression="zstd")
+    elif out.suffix == ".csv":
+        pa.csv.write_csv(table, sink)
+    else:
+        raise refusal(out, f"expected a .csv or .parquet name, got {shown(out.suffix) or 'no suffix'}")
+    write_bytes(out, sink.getvalue())

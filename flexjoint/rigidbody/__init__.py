@@ -1,0 +1,1 @@
+"""Rigid-body algorithms on numbers (Pinocchio) and on CasADi expressions."""

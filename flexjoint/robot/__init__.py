@@ -1,0 +1,1 @@
+"""The robot: YAML and description (URDF, MJCF, SDF) to one frozen value."""

@@ -1,0 +1,179 @@
+"""What a robot file points at: a URDF, or an MJCF or SDF through Pinocchio's own parsers -> pin.Model."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pinocchio as pin
+
+from flexjoint.core.errors import RobotError, unknown
+from flexjoint.robot.numbers import floats
+from flexjoint.robot.schema import RobotFile
+
+KINDS = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}  # root element: key of the robot file
+SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
+PARSE_ERRORS = (ElementTree.ParseError, ValueError, RuntimeError, UnicodeDecodeError)
+
+
+@dataclass(frozen=True)
+class Description:
+    """A description as it is used: `kind` urdf, mjcf or sdf, where it lies, and of a URDF the text, whose
+    continuous joints are unwrapped and whose sections that are left out are cut."""
+
+    kind: str
+    path: Path
+    text: str
+    package_dirs: tuple[Path, ...]
+
+
+def is_one(source: str | os.PathLike[str]) -> bool:
+    """Whether a path is that of a description, by its suffix."""
+    return Path(source).suffix.lower() in SUFFIXES
+
+
+def kind_of(source: str, path: Path) -> str:
+    """urdf, mjcf or sdf, by the root element of a description: a path, or package:// as of the robot file at
+    `path`. Raises RobotError where it is none."""
+    named = RobotFile.model_construct(urdf=source, package_dirs=())
+    found = find(named, path) if source.startswith("package://") else Path(source)
+    if not found.is_file():
+        raise RobotError(f"{found} does not exist; give the path of a URDF, MJCF or SDF")
+    try:
+        tag = ElementTree.fromstring(found.read_text(encoding="utf-8")).tag
+    except PARSE_ERRORS as error:
+        raise RobotError(f"{found} cannot be loaded: {' '.join(str(error).split())}") from None
+    if tag not in KINDS:
+        expected = ", ".join(f"<{known}>" for known in KINDS)
+        raise RobotError(f"{found}: expected a URDF, MJCF or SDF, whose root is {expected}; got <{tag}>")
+    return KINDS[tag]
+
+
+def has_free_joint(description: Description) -> bool:
+    """Whether an MJCF's first body moves freely; other descriptions do not say."""
+    if description.kind != "mjcf":
+        return False
+    try:
+        built = pin.buildModelFromMJCF(str(description.path))
+    except PARSE_ERRORS as error:
+        raise _unreadable(description.kind, description.path, error) from None
+    return floats(built)
+
+
+def example_robot_data() -> Path:
+    """The folder that package:// of the installed example-robot-data resolves against."""
+    try:
+        wheel = importlib.metadata.distribution("example-robot-data")
+    except importlib.metadata.PackageNotFoundError:
+        raise RobotError(
+            "example-robot-data is not installed, which holds this robot's description; install it with:"
+            " pip install example-robot-data"
+        ) from None
+    return Path(str(wheel.locate_file("cmeel.prefix/share")))
+
+
+def find(file: RobotFile, path: Path) -> Path:
+    """The description that the robot file at `path` names; raises RobotError where there is none."""
+    kind, name = file.description
+    if name.startswith("package://"):
+        rest = name.removeprefix("package://")
+        folders = package_dirs(file, path)
+        for folder in folders:
+            if (folder / rest).is_file():
+                return folder / rest
+        raise RobotError(
+            f"{path}: {kind.upper()} {name!r} not found under {', '.join(map(str, folders))}; add its folder"
+            " to package_dirs"
+        )
+    found = path.parent / name
+    if not found.is_file():
+        raise RobotError(
+            f"{path}: {kind.upper()} {found} does not exist; `{kind}` is relative to the YAML or package://"
+        )
+    return found
+
+
+def package_dirs(file: RobotFile, path: Path) -> tuple[Path, ...]:
+    """Where package:// is looked up: the file's own folders, its own place, example-robot-data."""
+    own = [path.parent / folder for folder in file.package_dirs]
+    share = example_robot_data()
+    return (*own, path.parent, share, share / "example-robot-data")
+
+
+def read(file: RobotFile, path: Path) -> Description:
+    """The description of the robot file at `path`; raises RobotError where it cannot be read."""
+    found = find(file, path)
+    kind = file.description[0]
+    try:
+        text = found.read_text(encoding="utf-8")
+        root = ElementTree.fromstring(text)
+    except PARSE_ERRORS as error:
+        raise _unreadable(kind, found, error) from None
+    given = KINDS.get(root.tag, root.tag)
+    if given != kind:
+        raise RobotError(
+            f"{path}: `{kind}` names {found}, whose root element is <{root.tag}>"
+            + (f"; call the key `{given}`" if given in KINDS.values() else f"; expected <{_tag(kind)}>")
+        )
+    if kind == "urdf":
+        text = _unwrap_continuous(root, file.continuous, path)
+    elif file.continuous:
+        raise RobotError(f"{path}: `continuous` needs a URDF; write the joints without limits in the {kind}")
+    return Description(kind, found, text, package_dirs(file, path))
+
+
+def model(description: Description, floating: bool) -> pin.Model:
+    """The description as Pinocchio reads it, on a free-flyer where it floats; raises RobotError."""
+    path = description.path
+    root = pin.JointModelFreeFlyer() if floating else None
+    try:
+        if description.kind == "urdf":
+            text = description.text
+            return pin.buildModelFromXML(text, root) if root else pin.buildModelFromXML(text)
+        if description.kind == "mjcf":
+            built = pin.buildModelFromMJCF(str(path))
+            free = floats(built)
+            if free is not floating:
+                has, base = ("a", "floating") if free else ("no", "fixed, or give its first body a freejoint")
+                raise RobotError(f"MJCF {path} has {has} free joint; write base: {base}")
+            return built
+        if not pin.WITH_SDFORMAT:
+            raise RobotError(
+                f"SDF {path} cannot be read: this build of Pinocchio (pip's wheel is one) has no SDF parser;"
+                " convert it to URDF or MJCF, or install a Pinocchio that was built with sdformat"
+            )
+        return pin.buildModelsFromSdf(str(path), root_joint=root, geometry_types=[])[0]
+    except RobotError:
+        raise
+    except PARSE_ERRORS as error:
+        raise _unreadable(description.kind, path, error) from None
+
+
+def _unreadable(kind: str, path: Path, error: Exception) -> RobotError:
+    return RobotError(f"{kind.upper()} {path} cannot be loaded: {' '.join(str(error).split())}")
+
+
+def _tag(kind: str) -> str:
+    return next(tag for tag, name in KINDS.items() if name == kind)
+
+
+def _unwrap_continuous(root: ElementTree.Element, also: Collection[str], path: Path) -> str:
+    """Continuous joints (and those that the robot file calls so) as revolute ones without limits: a
+    recording holds unwrapped angles."""
+    names = [str(joint.get("name")) for joint in root.iter("joint")]
+    for name in also:
+        if name not in names:
+            raise RobotError(f"{path}: continuous: {unknown('joint', name, names)}")
+    for joint in root.iter("joint"):
+        if joint.get("type") == "continuous" or joint.get("name") in also:
+            joint.set("type", "revolute")
+            limit = joint.find("limit")
+            limit = limit if limit is not None else ElementTree.SubElement(joint, "limit")
+            limit.attrib.setdefault("effort", "1e9")
+            limit.attrib.setdefault("velocity", "1e9")
+            limit.attrib.update(lower="-1e9", upper="1e9")
+    return ElementTree.tostring(root, encoding="unicode")

@@ -1,0 +1,99 @@
+"""C compilers: the system's, else the one that PyPI's ziglang brings."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from flexjoint.core.errors import FlexJointError
+
+# -O1: straight-line code, on which -O3 gains nothing and takes longer. No contraction to fused
+# multiply-adds: results are those of the operations as written, on any machine. GCC clears the upper halves
+# of AVX registers only with -fexpensive-optimizations; else sin and cos of the C library run at half speed.
+FLAGS = (
+    "-std=c99",
+    "-O1",
+    "-fexpensive-optimizations",
+    "-ffp-contract=off",
+    "-march=native",
+    "-fno-sanitize=undefined",
+    "-fvisibility=hidden",
+    "-fPIC",
+    "-shared",
+)
+TIMEOUT = 600.0  # seconds
+
+
+class CompilerError(FlexJointError):
+    """No C compiler, or one that fails."""
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler as a command line, and what its output depends on (version, processor)."""
+
+    name: str
+    command: tuple[str, ...]
+    identity: str
+
+    def compile(self, source: Path, library: Path, further: Sequence[str] = ()) -> None:
+        """Compile a C file to a shared library, with further flags; raises CompilerError with what the
+        compiler said."""
+        command = [*self.command, *FLAGS, *further, str(source), "-o", str(library), "-lm"]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=TIMEOUT, check=False, cwd=source.parent
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise CompilerError(f"{self.name} cannot be run: {error}") from None
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise CompilerError(f"{self.name} failed with {done.returncode}: {last}")
+
+
+def candidates() -> list[tuple[str, tuple[str, ...]]]:
+    """Names and command lines that may be compilers, the preferred one first."""
+    found = []
+    system = shlex.split(os.environ.get("CC", "")) or ["cc"]
+    if shutil.which(system[0]):
+        found.append((system[0], tuple(system)))
+    if importlib.util.find_spec("ziglang") is not None:
+        found.append(("ziglang", (sys.executable, "-m", "ziglang", "cc")))
+    return found
+
+
+@cache
+def compilers() -> tuple[Compiler, ...]:
+    """Those of `candidates` that run here. Windows has none: the checks on the cache are POSIX's."""
+    if os.name != "posix":
+        return ()
+    working = []
+    for name, command in candidates():
+        identity = _identity(command)
+        if identity is not None:
+            working.append(Compiler(name, command, identity))
+    return tuple(working)
+
+
+def _identity(command: tuple[str, ...]) -> str | None:
+    """Version and predefined macros: these tell the processor that -march=native means."""
+    try:
+        version = _said([*command, "--version"])
+        macros = _said([*command, "-march=native", "-dM", "-E", "-x", "c", os.devnull])
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return "\n".join([platform.machine(), *platform.libc_ver(), version, macros])
+
+
+def _said(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=True)
+    return done.stdout

@@ -1,0 +1,41 @@
+"""casadi.Functions as compiled code, from the same cache as the compiled models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import casadi as ca
+
+from flexjoint.core.functions import c_source
+from flexjoint.simulation.compiled.cache import library
+from flexjoint.simulation.compiled.compiler import CompilerError, compilers
+
+# a compiler takes some 0.2 ms an operation, CasADi's virtual machine some 10 ns more than compiled code does
+BREAK_EVEN = 20_000  # evaluations from which compiling is quicker than not compiling
+LARGEST = 60_000  # operations: a compiler takes more than proportional time for more
+# GCC's register allocator would colour a graph of conflicts, which takes a third of all time for so long a
+# straight line and makes it no quicker (steps in a loop it does); Clang ignores this
+STRAIGHT = ("--param=ira-max-conflict-table-size=0",)
+EXPORT = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n'
+
+
+def compiling_pays(functions: Sequence[ca.Function], evaluations: int) -> bool:
+    """Whether so many evaluations are quicker with the compiler's time than without both."""
+    return evaluations > BREAK_EVEN and sum(f.n_instructions() for f in functions) < LARGEST
+
+
+def compiled(functions: Sequence[ca.Function]) -> list[ca.Function]:
+    """The same functions as compiled code, made side by side; each itself where there is no C compiler that
+    works."""
+    with ThreadPoolExecutor() as threads:  # they wait for a compiler
+        return list(threads.map(_compiled, functions, [c_source([f]) for f in functions]))
+
+
+def _compiled(function: ca.Function, source: str) -> ca.Function:
+    for compiler in compilers():
+        try:
+            return ca.external(function.name(), str(library(EXPORT + source, compiler, STRAIGHT)))
+        except (CompilerError, RuntimeError):
+            continue
+    return function

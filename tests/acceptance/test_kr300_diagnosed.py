@@ -1,0 +1,56 @@
+"""Each recording of the KR300, diagnosed alone, names the same causes, with numbers that agree (README)."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from support.diagnose_cases import summary
+from support.thorough import thorough
+
+from flexjoint.diagnosis.pipeline import diagnose
+from flexjoint.diagnosis.result import Diagnosis, Fitted
+from flexjoint.recording import table as recording
+from flexjoint.robot.robot import load, robots_folder
+
+pytestmark = thorough
+
+NAMED = {
+    ("sensor_delay", None),  # the link encoders of joints 1 to 3
+    ("breakaway_friction", "joint_2"),
+    ("motor_coulomb_friction", "joint_2"),
+    ("breakaway_friction", "joint_3"),
+}
+RECORDINGS = ("rec_A", "rec_B", "rec_C")
+
+
+@cache
+def diagnosis(name: str) -> Diagnosis:
+    measured = recording.read(robots_folder() / "kr300" / "recordings" / f"{name}.parquet")
+    return diagnose(load("kr300"), [measured], refine=False)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_what_is_named_on_one_recording_is_named_on_all(name: str) -> None:
+    found = diagnosis(name)
+    told = summary(found)
+
+    assert {(f.effect, f.joint) for f in found.findings} == NAMED, told
+    assert found.verdict == "unexplained", told  # the wrist's torques, which no effect explains
+
+
+@pytest.mark.parametrize("cause", sorted(NAMED, key=str), ids=lambda c: "-".join(filter(None, c)))
+def test_the_numbers_agree_within_their_stated_errors(cause: tuple[str, str | None]) -> None:
+    parameters = [
+        next(f.parameters for f in diagnosis(name).findings if (f.effect, f.joint) == cause)
+        for name in RECORDINGS
+    ]
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        for key, first in parameters[one].items():
+            second = parameters[other][key]
+            if not isinstance(first, Fitted) or not isinstance(second, Fitted):
+                assert first == second == "q", key  # the channel
+                continue
+            apart = abs(first.value - second.value) / np.hypot(first.std, second.std)
+            assert apart < 2.0, (RECORDINGS[one], RECORDINGS[other], key, first, second)  # standard errors

@@ -1,0 +1,101 @@
+"""Processes that share the work: order, what they know by reference, errors, one that is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from flexjoint.core.errors import ModelError
+from flexjoint.core.worker_pool import WORKERS, WorkerPool, worker_pool, workers_of
+
+
+class Known:
+    """Something large that every process has."""
+
+    def __init__(self) -> None:
+        self.numbers = np.arange(10.0)
+
+    def times(self, factor: float) -> tuple[float, int]:
+        return factor * float(self.numbers.sum()), os.getpid()
+
+    def itself(self, _: object) -> Known:
+        return self
+
+
+def whoami(_: object) -> int:
+    return os.getpid()
+
+
+def inverse(x: float) -> float:
+    return 1.0 / x
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_results_are_in_order_and_the_work_is_shared(count: int) -> None:
+    known = Known()
+    with worker_pool([known], count) as processes:
+        out = processes.map(known.times, [float(k) for k in range(11)])
+        assert [value for value, _ in out] == [45.0 * k for k in range(11)]
+        assert len({process for _, process in out}) == count
+        assert out[0][1] == os.getpid()
+        assert processes.map(whoami, []) == []
+
+
+def test_what_is_shared_comes_back_as_itself() -> None:
+    known = Known()
+    with worker_pool([known], 2) as processes:
+        assert all(one is known for one in processes.map(known.itself, [0, 1, 2]))
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_an_error_is_raised_where_it_is_asked_for(wrong: int) -> None:
+    with worker_pool([], 2) as processes:
+        items = [2.0, 2.0]
+        items[wrong] = 0.0
+        with pytest.raises(ZeroDivisionError):
+            processes.map(inverse, items)
+        assert processes.map(inverse, [2.0, 4.0]) == [0.5, 0.25]  # no answer is left over
+
+
+def test_a_killed_process_is_done_without() -> None:
+    with worker_pool([], 2) as processes:
+        other = processes.map(whoami, [0, 1])[1]
+        assert other != os.getpid()
+        os.kill(other, signal.SIGKILL)
+        assert processes.map(inverse, [2.0, 4.0, 8.0]) == [0.5, 0.25, 0.125]
+        assert processes.size == 1
+
+
+def test_nobody_is_left_behind() -> None:
+    with worker_pool([], 3) as processes:
+        others = processes.map(whoami, [0, 1, 2])[1:]
+    for process in others:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+
+
+def test_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(WORKERS, raising=False)
+    assert workers_of(3) == 3
+    assert workers_of(None) == len(os.sched_getaffinity(0))
+    monkeypatch.setenv(WORKERS, "2")
+    assert workers_of(None) == 2
+    for wrong in ("0", "two", "-1"):
+        monkeypatch.setenv(WORKERS, wrong)
+        with pytest.raises(ModelError, match=f"{WORKERS}: expected a whole number from 1, got {wrong!r}"):
+            workers_of(None)
+    with pytest.raises(ModelError, match="got 0"):
+        workers_of(0)
+
+
+def test_crews_beside_each_other_end() -> None:
+    """One that is forked later inherits the pipes of those before it."""
+    first = WorkerPool([])
+    first.fork(1)
+    second = WorkerPool([])
+    second.fork(1)
+    first.dismiss()
+    second.dismiss()

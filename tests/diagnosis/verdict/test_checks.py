@@ -1,0 +1,101 @@
+"""The checks that refuse or replace a cause, and the one loop that asks them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.diagnose_cases import Case as Machine
+from support.diagnose_cases import as_recording, nominal
+
+from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.settings import USUAL, Settings
+from flexjoint.diagnosis.verdict.cases import Case
+from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection
+from flexjoint.diagnosis.verdict.review import notes, reviewed
+from flexjoint.effects import Planned, effect
+
+OFFSET = effect("torque_offset", "elbow", offset=1.0)
+GAP = effect("backlash", "elbow", gap=1e-3)
+LAG = effect("torque_delay", "elbow", delay=1e-3)
+
+
+def holding(*effects: Planned) -> Any:
+    """A selection, as far as the loop looks at it."""
+    return SimpleNamespace(best=SimpleNamespace(effects=effects))
+
+
+class Without(Check[Case]):
+    """Objects to one effect, and knows what is to take its place."""
+
+    name, stage, reason = "improbable", "findings", "For a test."
+
+    def __init__(self, effect: Planned, instead: Planned | None = None, once: bool = False) -> None:
+        self.effect, self.other, self.asked = effect, instead, 0
+        self.once = once  # type: ignore[misc]
+
+    def limit(self, settings: Settings) -> float:
+        return settings.verdict.probable
+
+    def objections(self, case: Case) -> tuple[Objection, ...]:
+        self.asked += 1
+        effects = case.selection.best.effects
+        if self.effect not in effects:
+            return ()
+        left = [e for e in effects if e is not self.effect] + ([self.other] if self.other else [])
+        return (Objection(self.effect, 0.05, "for a test", instead=holding(*left)),)
+
+
+def test_every_check_says_what_it_is() -> None:
+    assert len({check.name for check in EVERY}) == len(EVERY)
+    for check in EVERY:
+        assert check.reason.endswith(".") and check.reason[0].isupper(), check.name
+        assert check.limit(USUAL) > 0.0, check.name
+
+
+def test_a_set_that_was_changed_is_asked_again_from_the_first_check_on() -> None:
+    """The second check brings back what the first one objects to."""
+    first, second = Without(OFFSET), Without(GAP, instead=OFFSET)
+    case = reviewed(Case(holding(GAP, LAG), ()), (first, second))
+    assert case.selection.best.effects == (LAG,)
+    assert [(s.action, s.effect, s.by) for s in case.trace] == [
+        ("replaced", "backlash", ("torque_offset", "elbow")),
+        ("dropped", "torque_offset", None),
+    ]
+    assert (first.asked, second.asked) == (3, 2)
+
+
+def test_a_check_that_is_done_once_is_not_asked_again() -> None:
+    back_and_forth = (Without(GAP, instead=OFFSET, once=True), Without(OFFSET, instead=GAP, once=True))
+    case = reviewed(Case(holding(GAP), ()), back_and_forth)
+    assert case.selection.best.effects == (GAP,) and len(case.trace) == 2
+
+
+def test_an_empty_set_is_asked_nothing() -> None:
+    check = Without(GAP)
+    reviewed(Case(holding(), ()), (check,))
+    assert check.asked == 0
+
+
+def test_notes_say_what_the_checks_did() -> None:
+    case = reviewed(Case(holding(OFFSET, GAP), ()), (Without(OFFSET, instead=LAG), Without(GAP)))
+    assert notes(case.trace) == (
+        f"{LAG} is reported instead of {OFFSET}: for a test",
+        f"{GAP} is not reported: for a test",
+    )
+
+
+def test_a_workspace_is_frozen() -> None:
+    """Another noise level is another workspace, and the first one is as it was."""
+    workspace = Workspace(
+        balances_of(nominal("lever"), as_recording(Machine("lever", "rich", 5).with_causes()))
+    )
+    before = workspace.gram.copy()
+    other = workspace.at(2.0 * workspace.temper)
+    assert np.array_equal(workspace.gram, before) and not np.array_equal(other.gram, before)
+    for one in (workspace, other, workspace.only(workspace.time > 1.0)):
+        with pytest.raises(AttributeError, match="frozen"):
+            one.temper = 2.0 * one.temper

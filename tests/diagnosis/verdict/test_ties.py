@@ -1,0 +1,77 @@
+"""Rivals that explain a recording as well as the cause that is named, and rivals that do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from planting import Planted
+from support.diagnose_cases import Case, as_recording, found_in, nominal, summary
+from support.thorough import sample
+
+from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.settings import USUAL
+from flexjoint.diagnosis.verdict.ties import ties
+from flexjoint.effects import effect
+
+
+@pytest.fixture(scope="module")
+def friction() -> Fit:
+    rubs = Planted("motor_coulomb_friction", "turn", {"level": 0.4})
+    recording = as_recording(Case("turret", "rich", 3).with_causes(rubs))
+    workspace = Workspace(balances_of(nominal("turret"), recording))
+    return fit(workspace, [effect("motor_coulomb_friction", "turn", level=0.4)])
+
+
+def rival_of(best: Fit, error: float, share: slice) -> Fit:
+    """Another law in its place that is off by some deviations of the noise in a share of the recording."""
+    workspace = best.workspace
+    y = best.y.reshape(len(workspace.balances.rows), -1).copy()
+    y[0, share] += error
+    other = effect("link_coulomb_friction", "turn", level=0.4)
+    moved = replace(best, y=y.ravel(), effects=(other,))
+    energy = best.energy + workspace.energy(moved.y) - workspace.energy(best.y)
+    return replace(moved, judge=lambda: energy)
+
+
+def test_a_rival_that_is_worse_at_one_moment_only_is_a_tie(friction: Fit) -> None:
+    (cause,) = friction.effects
+    count = friction.y.size // len(friction.workspace.balances.rows)
+    once = rival_of(friction, 8.0, slice(count // 2, count // 2 + 12))
+    always = rival_of(friction, 1.0, slice(None, None, 2))
+    negligible = USUAL.search.finer_method_error * (fit(friction.workspace, []).energy - friction.energy)
+
+    for rival in (once, always):  # both far from chance, both within the method's error
+        assert 100.0 < rival.energy - friction.energy < negligible
+    assert [tie.effect for tie in ties(friction, cause, [once])] == ["link_coulomb_friction"]
+    assert not ties(friction, cause, [always])
+
+
+def test_a_rival_that_leaves_more_than_the_methods_error_is_none(friction: Fit) -> None:
+    (cause,) = friction.effects
+    count = friction.y.size // len(friction.workspace.balances.rows)
+    worse = rival_of(friction, 400.0, slice(count // 2, count // 2 + 12))
+    assert not ties(friction, cause, [worse])
+
+
+def test_on_one_joint_a_late_torque_is_late_readings() -> None:
+    result = found_in(Case("lever", "rich", 5), Planted("torque_delay", "swing", {"delay": 0.004}))
+    (finding,) = result.findings
+    names = {finding.effect, *(tie.effect for tie in finding.indistinguishable)}
+
+    assert {"torque_delay", "sensor_delay"} <= names, summary(result)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "named"), sample([(0.0005, "torque_delay"), (0.02, "current_lag")], one_in=2, several=True)
+)
+def test_a_lag_is_named_a_delay_where_both_fit(seconds: float, named: str) -> None:
+    """A lag differs from a dead time to second order in it."""
+    case = Case("crane", "rich", 5)
+    result = found_in(case, Planted("current_lag", "elbow", {"time_constant": seconds}))
+    (finding,) = result.findings
+    listed = "current_lag" in {tie.effect for tie in finding.indistinguishable}
+
+    assert (finding.effect, listed) == (named, named == "torque_delay"), summary(result)

@@ -1,0 +1,81 @@
+"""What is left on data that a fit did not see, and belief in a name on a machine that leaves something."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from flexjoint.diagnosis.result import Gain, Remaining, Removed
+from flexjoint.diagnosis.settings import USUAL
+from flexjoint.diagnosis.verdict.reliability import by_simulation, on_background
+from flexjoint.diagnosis.verdict.unseen import unfinished
+from flexjoint.effects import effect
+
+LIMITS = USUAL.verdict
+JOINT = Remaining("slide", torque=54.0, before=37.0, after=2.0, noise=0.03, structured=1.4, against="dtheta")
+CAUSE = Removed("slide", "motor", without=21.0, left=2.0, structured=1.4, against="dtheta")
+
+
+def believed(cause: Removed, *others: Remaining, beside: int = 1) -> float:
+    return on_background(cause, (JOINT, *others), 0.03, beside, LIMITS)
+
+
+def test_ordinary_friction_of_a_real_drive_is_believed() -> None:
+    """The numbers of a ball screw drive, where two frictions take the error from 37 to 2 N."""
+    assert believed(CAUSE) > 0.8
+
+
+def test_a_cause_that_leaves_a_shape_as_large_as_itself_is_not() -> None:
+    stand_in = replace(CAUSE, left=20.0, structured=19.0)
+
+    assert believed(stand_in) < 0.1
+
+
+def test_a_cause_as_small_as_many_small_errors_is_not() -> None:
+    small = replace(CAUSE, without=2.2)
+
+    assert believed(small) < 0.5
+
+
+def test_where_other_joints_are_clean_what_one_leaves_tells_of_another_cause() -> None:
+    clean = replace(JOINT, joint="other", after=0.03, structured=0.0)
+    dirty = replace(JOINT, joint="other", after=3.0)
+
+    assert believed(CAUSE, clean) < believed(CAUSE, dirty)
+
+
+def test_three_causes_on_a_joint_are_believed_less() -> None:
+    assert believed(CAUSE, beside=2) == believed(CAUSE)
+    assert believed(CAUSE, beside=3) < believed(CAUSE)
+
+
+@pytest.mark.parametrize(
+    ("left", "open_ones"),
+    [
+        (JOINT, 0),  # 4 % of the torque
+        (replace(JOINT, after=10.0, structured=2.0), 0),  # more, without a shape
+        (replace(JOINT, after=20.0, structured=19.0), 1),  # a law without a name
+        (replace(JOINT, after=30.0, structured=0.0), 1),  # most of what there was
+    ],
+)
+def test_a_joint_is_finished_when_what_is_left_is_background(left: Remaining, open_ones: int) -> None:
+    assert len(unfinished((left,), LIMITS)) == open_ones
+
+
+def simulated(before: float, after: float, joint: str | None = "elbow", beside: int = 1) -> float:
+    gain = Gain(True, 0.5, {"nrmse": {"phi.elbow": before}}, {"nrmse": {"phi.elbow": after}}, {})
+    named = effect("backlash", joint, gap=1e-3) if joint else effect("base_tilt", roll=0.01)
+    return by_simulation(gain, named, beside, LIMITS)
+
+
+def test_a_cause_with_which_its_joint_is_simulated_far_better_is_believed() -> None:
+    assert simulated(1.4, 0.14) > 0.5  # ten times
+    assert simulated(1.4, 0.31) < 0.3  # as a stand-in that explains 95 % of the variance
+    assert simulated(1.4, 1.4) < 0.05
+
+
+def test_a_simulation_says_nothing_of_another_joint_or_of_a_third_cause() -> None:
+    assert simulated(1.4, 0.14, "wrist") < 1e-6
+    assert simulated(1.4, 0.14, None) == 0.0
+    assert simulated(1.4, 0.14, beside=3) < 0.5 < simulated(1.4, 0.14, beside=2)

@@ -1,0 +1,136 @@
+"""The report's numbers in words, and the arithmetic behind its plots."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexjoint.diagnosis import result as d
+from flexjoint.diagnosis.result import merit, torque, wording
+from flexjoint.report import series
+
+# --- numbers in words --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (0.011243, 0.00021, "0.0112 ± 0.0002"),
+        (0.011243, 0.00014, "0.01124 ± 0.00014"),  # an error that begins with 1 keeps two digits
+        (7056.3, 123.0, "7060 ± 120"),
+        (-0.25, 0.3, "-0.2 ± 0.3"),
+        (1.234e-5, 2e-7, "(1.23 ± 0.02)e-05"),
+        (3.2e7, 4e5, "(3.20 ± 0.04)e+07"),
+        (0.5, float("nan"), "0.5"),
+        (0.5, 0.0, "0.5"),
+        (0.123456789, 1e-12, "0.123457 ± 1e-12"),
+    ],
+)
+def test_a_number_shows_the_digits_that_its_error_supports(value, std, text):
+    assert wording.with_error(value, std) == text
+
+
+def test_vectors_bounds_and_words_are_readable():
+    position = d.Fitted((0.1, 0.0, -0.25), (0.01, 0.02, 0.03), "m", at_bound=True)
+    assert wording.fitted(position) == "[0.100 ± 0.010, 0.00 ± 0.02, -0.25 ± 0.03] m (at its bound)"
+    assert wording.fitted("theta") == "theta"
+    assert wording.fitted(d.Fitted(0.12, 0.03, "1")) == "0.12 ± 0.03"
+
+
+def test_shares_never_round_to_certainty():
+    shares = (0.873, 0.0312, 0.9996, 1.0, 0.0, 4e-4, -0.07, float("nan"))
+    assert [wording.percent(s) for s in shares] == [
+        "87 %",
+        "3.1 %",
+        "> 99 %",
+        "100 %",
+        "0 %",
+        "< 0.1 %",
+        "-7.0 %",
+        "–",
+    ]
+
+
+def test_a_fall_is_stated_in_per_cent_and_a_rise_is_called_one():
+    assert wording.less(53.0, 2.2) == "96 % less"
+    assert wording.less(2.0, 2.5) == "25 % more"
+    assert wording.less(0.0, 2.5) == ""
+
+
+def test_a_signal_of_another_joint_is_named_with_it():
+    assert wording.signal_name("tau_t.left.knee") == "spring torque tau_t of left.knee"
+    assert wording.signal_name("tau_t.knee", rigid=True) == "load torque tau_t of knee"
+    assert wording.signal_name("some.thing") == "some.thing"
+
+
+def test_of_many_joints_those_are_listed_of_which_most_is_left():
+    left = [d.Remaining(f"j{k}", 10.0, 5.0, 0.1 * (k % 7), 0.1, 0.0, "q") for k in range(30)]
+    table = torque.table(d.Diagnosis("causes", "", remaining=tuple(left)), wording.Joints(), 4)
+    assert table is not None and table.more == 26
+    assert [row.joint for row in table.rows] == ["j6", "j13", "j20", "j27"]  # in the robot's order
+
+
+def test_a_joint_without_torque_or_noise_has_no_share_of_it():
+    left = d.Remaining("free", 0.0, 0.0, 0.1, 0.0, 0.0, "q")
+    table = torque.table(d.Diagnosis("causes", "", remaining=(left,)), wording.Joints(), 4)
+    assert table is not None
+    row = table.rows[0]
+    assert (row.of_before, row.of_torque, row.times_noise) == (wording.NOTHING,) * 3
+
+
+def test_the_noise_floor_is_put_on_the_scale_of_the_error():
+    gain = d.Gain(
+        True,
+        0.5,
+        {"rms": {"q.a": 0.02, "q.b": 0.01, "phi.a": 1.0}, "nrmse": {"q.a": 0.4, "q.b": 0.3, "phi.a": 9.0}},
+        {"rms": {"q.a": 0.01}, "nrmse": {"q.a": 0.2}},
+        {"rms": {"q.a": 0.001}},
+    )
+    first = merit.channel_errors(gain)[0]
+    assert first.floor == pytest.approx(0.02)  # 0.001 over the standard deviation 0.02 / 0.4
+    assert first.removed == pytest.approx(0.5)
+    total = merit.overall(gain)
+    assert total.before == pytest.approx(np.sqrt((0.4**2 + 0.3**2) / 2))  # the deflection is left out
+    assert total.after == pytest.approx(0.2)
+
+
+# --- arithmetic behind the plots ---------------------------------------------------------------------
+
+
+def test_the_excerpt_lies_around_the_largest_error():
+    time = np.arange(0.0, 30.0, 0.01)
+    error = 0.1 + 5.0 * np.exp(-(((time - 17.0) / 0.5) ** 2))
+    start, stop = series.excerpt(time, error, 3.0)
+    assert stop - start == pytest.approx(3.0)
+    assert start < 16.0 and stop > 18.0  # the peak's two sigma lie inside
+    assert series.excerpt(time, np.where(time > 29.5, error, np.nan), 3.0)[1] <= time[-1]
+
+
+def test_thinning_keeps_peaks_and_gaps():
+    time = np.arange(10_000) * 1e-3
+    values = np.sin(time)
+    values[4321] = 7.0
+    values[6000:7000] = np.nan
+    short, kept = series.thinned(time, values, 200)
+    assert kept.size <= 400 and np.nanmax(kept) == 7.0 and np.all(np.diff(short) > 0)
+    assert np.all(np.isnan(kept[(short > 6.06) & (short < 6.94)]))  # one bucket of 0.05 s at each end may mix
+
+
+def test_dependence_tells_a_law_from_noise():
+    rng = np.random.default_rng(5)
+    x, noise = rng.uniform(-1, 1, 4000), rng.standard_normal(4000)
+    assert series.dependence(x, np.sign(x)) > 0.9  # the bin around zero holds both signs
+    assert series.dependence(x, noise) < 0.02  # 24 bins of 4000 samples: 0.006 expected
+    assert series.dependence(x, np.zeros(4000)) == 0.0
+
+
+def test_binned_medians_follow_the_law():
+    rng = np.random.default_rng(6)
+    x = rng.uniform(-1, 1, 4000)
+    y = x**2 + 0.01 * rng.standard_normal(4000)
+    bins = series.binned(x, y)
+    # a bin is 1/12 wide: x^2 varies by up to 1/6 inside, its median by a fraction of that
+    assert bins.median == pytest.approx(bins.x**2, abs=0.02)
+    assert np.all((bins.low <= bins.median) & (bins.median <= bins.high))
+    assert series.binned(np.full(100, 2.0), np.ones(100)).x == pytest.approx([2.0])
+    assert series.binned(np.array([]), np.array([])).x.size == 0

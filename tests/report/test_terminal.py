@@ -1,0 +1,331 @@
+"""A diagnosis on the terminal: at 80 columns, without colour, in ASCII; and the progress bar."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import cast
+
+import pytest
+from rich.console import Console
+from support.fake_diagnosis import slide, traced
+
+from flexjoint.diagnosis import result as d
+from flexjoint.effects import effect
+from flexjoint.report import terminal
+
+NRMSE = {
+    f"{channel}.{joint}": 0.2
+    for channel in ("q", "dq", "theta", "dtheta", "tau_t")
+    for joint in ("a", "elbow")
+}
+
+
+def backlash(joint: str = "elbow") -> d.Finding:
+    return d.Finding(
+        "backlash",
+        joint,
+        0.97,
+        {"gap": d.Fitted(0.0112, 0.0002, "rad")},
+        4.0,
+        0.31,
+        "mechanical",
+        effect("backlash", joint, gap=0.0112),
+        indistinguishable=(d.Tie("transmission_error", joint, "the load keeps its sign"),),
+        hidden_by_refit=True,
+        removed=d.Removed(joint, "spring", 3.1, 0.21, 0.1, "phi"),
+    )
+
+
+CAUSES = d.Diagnosis(
+    "causes",
+    "one cause brings the residual down to its noise",
+    findings=(backlash(),),
+    unexplained=(d.Unexplained("elbow", "spring", 0.04, "theta"),),
+    remaining=(
+        d.Remaining("a", 30.0, 0.5, 0.4, 0.3, 0.1, "q"),
+        d.Remaining("elbow", 10.0, 4.0, 0.6, 0.2, 0.45, "q.a"),
+    ),
+    not_excited=(("end_stop", "elbow"), ("end_stop", "a")),
+    within_tolerance=(d.WithinTolerance("payload", "elbow", 0.008),),
+    comparison=d.Gain(
+        True,
+        0.5,
+        {"rms": NRMSE, "nrmse": NRMSE},
+        {"rms": {}, "nrmse": {key: 0.02 for key in NRMSE}},
+        {"nrmse": {key: 0.01 for key in NRMSE}},
+    ),
+    next_experiment="load the elbow from both sides",
+    notes=("encoder offsets were estimated",),
+)
+HEALTHY = d.Diagnosis("healthy", "nothing beats the noise", comparison=CAUSES.comparison)
+UNEXPLAINED = d.Diagnosis(
+    "unexplained",
+    "nothing fits",
+    unexplained=(d.Unexplained("a", "motor", 0.93, "dtheta"),),  # before tolerances; what is left decides
+    remaining=(
+        d.Remaining("a", 30.0, 0.9, 0.35, 0.3, 0.1, "q"),
+        d.Remaining("elbow", 10.0, 4.0, 3.8, 0.2, 3.0, "dtheta"),
+    ),
+)
+REFUSED = d.Diagnosis("refused", "the recording holds no motor torque", next_experiment="record tau_m")
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a summary tells of a robot: its name, joints that slide, and whether none has a spring."""
+
+    name: str = "arm2"
+    slides: tuple[str, ...] = ()
+    rigid: bool = False
+
+
+ARM = Machine()
+
+
+def printed(diagnosis: d.Diagnosis, width: int = 80, encoding: str = "utf-8", robot: Machine = ARM) -> str:
+    """What a pipe receives."""
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    told = replace(diagnosis, robot=robot.name, prismatic=frozenset(robot.slides), rigid=robot.rigid)
+    terminal.summary(told, Console(file=stream, width=width))
+    stream.flush()
+    return cast(io.BytesIO, stream.buffer).getvalue().decode(encoding)
+
+
+def words(diagnosis: d.Diagnosis, robot: Machine = ARM) -> str:
+    return " ".join(printed(diagnosis, robot=robot).split())
+
+
+def test_everything_that_was_found_is_said():
+    text = words(CAUSES)
+    for said in (
+        "Causes named: arm2 Is it there? The model lacks backlash at elbow (gap 0.0112 ± 0.0002 rad),"
+        " probability 97 %: error of the spring's torque 3.1 → 0.21 N m (93 % less).",
+        "Is it all? 0.6 N m of 4 N m are left at elbow (15 %): 6.0 % of its torque and 3 times sensor noise.",
+        "Of what is left at elbow, 0.45 N m follow link position q of a, by a law that no named cause has.",
+        "Is it this law? This recording cannot distinguish backlash at elbow from transmission error at"
+        " elbow: the load keeps its sign. Next experiment: load the elbow from both sides.",
+        "backlash gap 0.0112 ± 0.0002 rad 97 % spring's torque",
+        "since t = 4 s",
+        "would be hidden by a refit",
+        "Torque error by joint (N m, RMS, on data that the fit did not see)",
+        "q.elbow 0.2 0.02 90 % 0.01",
+        "2 more channels",
+        "4.0 % of the spring balance's squared error at elbow is left; it depends most on motor position",
+        "Not excited, so nothing is said of end stop (elbow, a).",
+        "payload at elbow 0.008 kg",
+        "Encoder offsets were estimated.",
+    ):
+        assert said in text, said
+
+
+def test_the_torque_of_every_joint_is_stated_in_three_units():
+    text = words(CAUSES)
+    assert "joint torque before after of before of torque x noise" in text
+    assert "a 30 0.5 0.4 80 % 1.3 % 1.3" in text
+    assert "elbow 10 4 0.6 15 % 6.0 % 3" in text
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "said"),
+    [
+        (HEALTHY, "Healthy: arm2 The simulation agrees with the recording"),
+        (
+            UNEXPLAINED,
+            "Is it there? The simulation is wrong at elbow, and no effect of the catalogue accounts for it."
+            " What is left? 3.8 N m of 4 N m are left at elbow (95 %): 38 % of its torque and 19 times sensor"
+            " noise. Of what is left at elbow, 3 N m follow motor velocity dtheta, by a law that no effect of"
+            " the catalogue has.",
+        ),
+        (
+            REFUSED,
+            "This recording cannot carry a verdict: the recording holds no motor torque. Nothing is claimed"
+            " about the simulation, neither that it is right nor that it is wrong. What to do: Record tau_m.",
+        ),
+    ],
+)
+def test_the_other_verdicts_say_what_they_are(diagnosis, said):
+    assert said in words(diagnosis)
+
+
+def test_nobody_is_blamed_for_what_tolerances_cover():
+    """The raw error of joint a is large; nominal numbers within their tolerances leave the noise of it."""
+    text = words(UNEXPLAINED)
+    assert "wrong at a" not in text and "93" not in text
+
+
+def test_found_but_not_all_of_it_says_what_was_found_first_and_what_is_left_second():
+    partial = replace(UNEXPLAINED, findings=(backlash(),), comparison=CAUSES.comparison)
+    text = words(partial)
+    found, left = text.index("The model lacks backlash at elbow"), text.index("3.8 N m of 4 N m are left at")
+    assert found < left < text.index("So the causes named are not all of it.")
+    assert "probability 97 %" in text[found:left]
+    without_shape = replace(partial, remaining=(d.Remaining("elbow", 10.0, 4.0, 3.8, 0.2, 0.3, "dtheta"),))
+    assert "What is left at elbow follows no single signal." in words(without_shape)
+
+
+def test_another_joint_of_which_more_is_left_is_named_too():
+    joints = (
+        d.Remaining("a", 30.0, 20.0, 0.6, 0.3, 0.1, "q"),
+        d.Remaining("b", 2.0, 0.5, 0.4, 0.1, 0.0, "t"),
+    )
+    text = words(replace(CAUSES, remaining=joints))
+    assert "0.6 N m of 20 N m are left at a (3.0 %)" in text
+    assert "Most, for its torque: 0.4 N m of 0.5 N m are left at b (80 %): 20 % of its torque" in text
+
+
+def test_a_leftover_of_the_size_of_the_noise_follows_nothing():
+    joints = (d.Remaining("elbow", 10.0, 4.0, 0.28, 0.2, 0.25, "q"),)
+    assert "follow link position" not in words(replace(CAUSES, remaining=joints))
+
+
+# ------------------------------------------------------------------ the signal that the cause moves
+def test_the_simulation_is_quoted_where_the_cause_acts():
+    """The wrist errs most and gains nothing; the deflection of the cause's own joint gains sixteenfold."""
+    rms = {"q.wrist": 0.02, "q.elbow": 0.01, "phi.elbow": 0.0032}
+    nrmse = {"q.wrist": 0.9, "q.elbow": 0.023, "phi.elbow": 0.32}
+    less = {"phi.elbow": 0.0002}, {"phi.elbow": 0.02}
+    gain = d.Gain(
+        True, 0.5, {"rms": rms, "nrmse": nrmse}, {"rms": rms | less[0], "nrmse": nrmse | less[1]}, {}
+    )
+    text = words(replace(CAUSES, comparison=gain))
+    assert (
+        "the error of deflection theta - q at elbow falls: 0.0032 → 0.0002 rad; 32 % → 2.0 % of its standard"
+        " deviation." in text
+    )
+
+
+def test_a_cause_of_the_whole_robot_is_quoted_where_the_error_falls_most():
+    tilt = replace(
+        backlash(), effect="base_tilt", joint=None, removed=d.Removed("a", "link", 5.0, 1.0, 0, "q")
+    )
+    gain = d.Gain(True, 0.5, {"nrmse": {"q.a": 0.5, "q.b": 0.3}}, {"nrmse": {"q.a": 0.4, "q.b": 0.1}}, {})
+    text = words(replace(CAUSES, findings=(tilt,), comparison=gain))
+    assert "the error of link position q at b falls: 30 % → 10 % of its standard deviation." in text
+    assert "torque error of the link at a 5 → 1 N m (80 % less)" in text
+
+
+def test_no_fall_is_no_gain():
+    gain = d.Gain(
+        True, 0.5, {"nrmse": {"q.elbow": 0.2, "q.a": 0.9}}, {"nrmse": {"q.elbow": 0.2, "q.a": 0.1}}, {}
+    )
+    text = words(replace(CAUSES, comparison=gain))
+    assert "no measured signal of elbow errs less with it" in text
+
+
+# ------------------------------------------------------------------ possible causes, tables, rigid joints
+def test_a_cause_more_likely_absent_stands_apart():
+    unsure = replace(backlash("a"), probability=0.23)
+    text = words(replace(CAUSES, findings=(backlash(), unsure)))
+    first, apart = (text.index(head) for head in ("Causes cause numbers", "Possible, not in the extended"))
+    assert "97 %" in text[first:apart] and "23 %" not in text[first:apart]
+    assert "23 %" in text[apart:]
+    assert "This is with the possible causes, too" in text and "possible causes, too" not in words(CAUSES)
+    assert "Possible: backlash at a (gap 0.0112 ± 0.0002 rad), probability 23 %" in text
+    alone = words(replace(UNEXPLAINED, findings=(unsure,)))
+    assert "Is it there? No cause is more likely there than not. Possible: backlash at a" in alone
+    assert "Causes cause" not in alone
+
+
+@pytest.mark.parametrize("diagnosis", [CAUSES, slide()])
+def test_the_table_of_causes_breaks_no_number(diagnosis):
+    lines = printed(diagnosis, robot=Machine(slides=("slide",))).splitlines()
+    assert max(map(len, lines)) <= 80
+    for finding in diagnosis.findings:
+        for line in finding.parameters:
+            assert any(re.search(rf"{line} \S+ ± \S+ (N|rad) ", row) for row in lines)
+
+
+def test_without_springs_nothing_speaks_of_springs():
+    text = words(slide("unexplained", after=30.0), Machine("screw", ("slide",), True))
+    assert not re.search("spring|deflection|transmission|phi|N m|rad", text)
+    assert "30 N of 53 N are left at slide (57 %)" in text
+    assert "24 N follow load torque tau_t" in text
+
+
+def test_joints_that_turn_and_slide_have_their_own_units():
+    text = words(
+        replace(CAUSES, remaining=(*CAUSES.remaining, *slide().remaining)), Machine(slides=("slide",))
+    )
+    assert "Torque error by joint (RMS, on data" in text
+    assert "slide 120 N 53 N 2.2 N 4.2 %" in text and "elbow 10 N m 4 N m 0.6 N m" in text
+
+
+def test_steps_are_not_for_the_terminal():
+    assert printed(traced(CAUSES)) == printed(CAUSES)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+@pytest.mark.parametrize(
+    "joint", ["elbow", "left_front_upper_leg_" * 6, "[red]a[/red] [/] \u20ac\x1b[2J\u202e"]
+)
+def test_it_fits_80_columns_and_holds_no_codes(joint, encoding):
+    finding = backlash("elbow")
+    diagnosis = replace(
+        CAUSES,
+        findings=(replace(finding, joint=joint), replace(finding, joint=None)),
+        unexplained=(d.Unexplained(joint, "spring", 0.04, joint),),
+        remaining=(d.Remaining(joint, 9.0, 4.0, 0.5, 0.1, 0.4, f"q.{joint}"),),
+        comparison=d.Gain(True, 0.5, {"nrmse": {f"q.{joint}": 0.3}}, {}, {}),
+    )
+    text = printed(diagnosis, encoding=encoding)
+    assert max(len(line) for line in text.splitlines()) <= 80
+    assert "\x1b" not in text and "\u202e" not in text
+    if joint.startswith("[red]"):
+        assert "[red]a[/red] [/]" in text  # a name is no markup
+    if encoding == "ascii":
+        assert "0.0112 +- 0.0002" in text
+
+
+def test_colour_is_never_needed(monkeypatch):
+    monkeypatch.setenv("NO_COLOR", "1")
+    stream = io.StringIO()
+    terminal.summary(replace(CAUSES, robot="arm2"), Console(file=stream, width=80, force_terminal=True))
+    assert "\x1b[3" not in stream.getvalue()  # bold is allowed, colours are not
+    assert "Causes named" in stream.getvalue()
+
+
+@pytest.fixture
+def clock() -> Iterator[list[float]]:
+    yield [100.0]
+
+
+def screen(is_terminal: bool, monkeypatch: pytest.MonkeyPatch, term: str = "xterm") -> Console:
+    monkeypatch.setenv("TERM", term)
+    return Console(file=io.StringIO(), width=80, force_terminal=is_terminal)
+
+
+def run(console: Console, clock: list[float], seconds: float, what: str = "scan") -> str:
+    with terminal.Progress(console, lambda: clock[0]) as progress:
+        for step in range(5):
+            progress(step / 4, what)
+            clock[0] += seconds / 4
+    return cast(io.StringIO, console.file).getvalue()
+
+
+def test_long_work_shows_its_progress_on_a_terminal(clock, monkeypatch):
+    text = run(screen(True, monkeypatch), clock, 8.0, "scan [bold]of backlash")
+    assert "scan [bold]of backlash" in text and "100%" in text
+
+
+def test_short_work_pipes_and_dumb_terminals_show_nothing(clock, monkeypatch):
+    assert run(screen(True, monkeypatch), clock, 1.0) == ""
+    assert run(screen(False, monkeypatch), clock, 60.0) == ""
+    assert run(screen(True, monkeypatch, term="dumb"), clock, 60.0) == ""
+
+
+def test_fractions_beyond_the_end_are_harmless(clock, monkeypatch):
+    console = screen(True, monkeypatch)
+    progress = terminal.Progress(console, lambda: clock[0])
+    clock[0] += 3.0
+    progress(1.7, "late")
+    progress.close()
+    progress.close()
+    assert "100%" in cast(io.StringIO, console.file).getvalue()
+
+
+def test_the_null_progress_says_nothing(capsys):
+    terminal.no_progress(0.5, "scan")
+    assert capsys.readouterr() == ("", "")

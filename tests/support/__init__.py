@@ -1,0 +1,1 @@
+"""What tests share: robots, cases, readings of a command, pictures of a browser, marks."""
