@@ -155,7 +155,7 @@ def beside_rivals(
     the fits with a rival in its place. An effect that came first has sizes that stand in for what its rival
     explains (a gap, for an offset that moves it to one side), from where no search finds back. Beside a rival
     that the effect contains as a special case, what else there is on its joint stands in for the rest (an
-    offset, for the second level of a friction)."""
+    offset, for the second level of a friction); beside a rival that fits as well, so may it."""
     workspace = best.workspace
     wrong = workspace.temper / workspace.strain > best.settings.search.wrong
     joints = {row.joint for row, bad in zip(workspace.balances.rows, wrong, strict=True) if bad}
@@ -166,7 +166,11 @@ def beside_rivals(
             continue
         own = tuple(c for c in candidates if c.key == effect.key)
         others = tuple(c for c in candidates if c.joint == effect.joint and c.key != effect.key)
-        tasks += [(best, rival, others if _narrower(rival, effect) else own) for rival in fits]
+        for rival in fits:
+            beside = others if _narrower(rival, effect) else own
+            # which of equals came first is chance, and what else there is may show beside one of them alone
+            equal = score(rival) - score(best) <= best.settings.verdict.tie
+            tasks.append((best, rival, (*own, *others) if equal else beside))
     return on_one_level([f for f in pool.map(_beside, tasks) if f is not None], pool)
 
 
