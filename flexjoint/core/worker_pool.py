@@ -16,9 +16,12 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import wraps
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
+
+from threadpoolctl import threadpool_limits
 
 from flexjoint.core.errors import ModelError
 
@@ -26,6 +29,7 @@ WORKERS = "FLEXJOINT_WORKERS"  # environment variable: processes, instead of one
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
 
 
 class WorkerPool:
@@ -134,6 +138,19 @@ def worker_pool(shared: Iterable[object], count: int) -> Iterator[WorkerPool]:
         yield made
     finally:
         made.dismiss()
+
+
+def one_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """The function with linear algebra (BLAS) in one thread a process, whatever the environment says.
+
+    Processes share the work; threads cost more than they save on small arrays, and may change the bits."""
+
+    @wraps(function)
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
 
 
 def workers_of(asked: int | None) -> int:

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from flexjoint.core.errors import RecordingError, unknown
-from flexjoint.core.worker_pool import workers_of
+from flexjoint.core.worker_pool import one_thread, workers_of
 from flexjoint.diagnosis.balances.balances import Balances, TwinBalances, balances_of
 from flexjoint.diagnosis.regression.uncertainty import Errors
 from flexjoint.diagnosis.regression.workspace import Workspace
@@ -40,6 +40,7 @@ SEARCHED = 0.92  # share of the progress that the searches are
 Progress = Callable[[float, str], None]
 
 
+@one_thread
 def diagnose(
     robot: Robot,
     recordings: Recording | Sequence[Recording],

@@ -7,9 +7,10 @@ import signal
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from flexjoint.core.errors import ModelError
-from flexjoint.core.worker_pool import WORKERS, WorkerPool, worker_pool, workers_of
+from flexjoint.core.worker_pool import WORKERS, WorkerPool, one_thread, worker_pool, workers_of
 
 
 class Known:
@@ -99,3 +100,14 @@ def test_crews_beside_each_other_end() -> None:
     second.fork(1)
     first.dismiss()
     second.dismiss()
+
+
+def test_linear_algebra_takes_one_thread_whatever_the_environment_says() -> None:
+    @one_thread
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        outside = [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+        assert outside and set(outside) == {2}
+        assert set(threads()) == {1}
