@@ -165,7 +165,7 @@ def _searched_robustly(
 ) -> tuple[SimulatedCase, tuple[str, ...]]:
     """The case with causes that the simulation confirms, where only implausible nominal numbers would explain
     an error of the only recording, and notes."""
-    if count > 1 or case.measured is None or not _doubtful(case.selection):
+    if count > 1 or case.measured is None or not _undecided(case.selection):
         return case, ()
     report = _part(task.report, SEARCHED, 0.02)
     again = search_robustly(case.robot, case.recording, case.workspace, case.selection, candidates, report)
@@ -235,8 +235,8 @@ def _diagnosis(
         explained=case.explained,
         notes=(*said, *case.notes, *verdict.not_believed(best)),
         energy=(
-            float(np.mean(selection.nothing.workspace.temper)),
-            float(np.mean(best.workspace.temper)),
+            float(np.mean(selection.nothing.workspace.inflation)),
+            float(np.mean(best.workspace.inflation)),
         ),
         estimation=estimation,
         trace=(*case.trace, *_kept(found)),
@@ -295,10 +295,10 @@ def _known(recordings: Sequence[Recording], payloads: Sequence[KnownPayload | No
     )
 
 
-def _doubtful(selection: Selection) -> bool:
+def _undecided(selection: Selection) -> bool:
     """Whether an error is left and only implausible nominal numbers would explain it."""
     best = selection.best
-    if best.workspace.strain <= best.settings.robust_search.begins:
+    if best.workspace.implausibility <= best.settings.robust_search.begins:
         return False
     residuals = residual_views(best, selection.nothing)
     left = unexplained_balances(best, residuals)

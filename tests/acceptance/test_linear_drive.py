@@ -191,7 +191,7 @@ def test_less_of_everything_is_no_better(screw: Robot) -> None:
         told.with_values({"level": 0.6 * COULOMB}),
     ]
     workspace = Workspace(balances_of(screw, recorded(COULOMB, 0.0, disturbance=5.0)))
-    workspace = workspace.tempered(workspace.residual([told]))
+    workspace = workspace.at_plausible_level(workspace.residual([told]))
     all_of_it, of_less = (judged_energy(workspace, workspace.residual(e), e) for e in ([told], less))
     # 1.27 (what tolerances take on is counted along the nominal model's columns), and not 0.36
     assert all_of_it < of_less < 1.4 * all_of_it

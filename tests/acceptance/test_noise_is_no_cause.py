@@ -13,7 +13,7 @@ from support.diagnose_cases import SENSORS, Case, as_recording, nominal
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit, shifts
 from flexjoint.diagnosis.regression.workspace import Workspace
-from flexjoint.diagnosis.search.criteria import told_by_motion
+from flexjoint.diagnosis.search.criteria import shown_by_motion
 from flexjoint.effects import Planned, effect
 from flexjoint.robot.robot import load
 
@@ -93,10 +93,10 @@ def test_a_gap_of_the_encoders_noise_is_not_told_by_the_motion() -> None:
     noise = float(workspace.readings.noise["q"][1])
     gap = effect("backlash", "mid_turn", gap=0.2 * noise)
     loose = replace(fit(workspace, []), effects=(gap,), y=workspace.residual([gap]))
-    earned = workspace.energy(workspace.residual([])) - workspace.energy(loose.y)
+    gained = workspace.energy(workspace.residual([])) - workspace.energy(loose.y)
 
-    assert earned > 20.0
-    assert not told_by_motion(loose, earned, gap)
+    assert gained > 20.0
+    assert not shown_by_motion(loose, gained, gap)
 
 
 def rows_of(workspace: Workspace, y: np.ndarray) -> np.ndarray:

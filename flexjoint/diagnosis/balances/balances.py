@@ -160,15 +160,15 @@ class Balances:
 
 
 class TwinBalances(Balances):
-    """Balances of a recording, and (`quiet`) of the same recording with its positions denoised. Columns
+    """Balances of a recording, and (`denoised`) of the same recording with its positions denoised. Columns
     that carry the residual's own noise would draw a regression towards numbers that shrink a balance."""
 
-    def __init__(self, motion: Motion, quiet: Motion, *, denoised_rest: bool = True) -> None:
+    def __init__(self, motion: Motion, without_noise: Motion, *, denoised_rest: bool = True) -> None:
         """`denoised_rest`: whether the recording without noise says what a dry friction holds at rest."""
         super().__init__(motion)
-        self.quiet = Balances(quiet)
-        self.chains.calm = self.quiet.chains if denoised_rest else None
-        self.colours = colours_of(motion.readings, quiet.readings)
+        self.denoised = Balances(without_noise)
+        self.chains.denoised = self.denoised.chains if denoised_rest else None
+        self.colours = colours_of(motion.readings, without_noise.readings)
 
 
 def balances_of(robot: Robot, recording: Recording, settings: Settings = USUAL) -> TwinBalances:

@@ -42,8 +42,9 @@ class Chain:
     reading: np.ndarray  # tau_t, corrected
     q_change: np.ndarray | None  # what sensor effects change of the link angle; None: nothing
     scale: float  # of the motor's balance: one over the gain from recorded to acting torque
-    held_motor: np.ndarray  # (N,) bool, or (): where a dry friction of the motor holds, whatever pulls ...
-    held_link: np.ndarray  # ... and one of the link
+    # (N,) bool, or (): where a dry friction of the motor, or of the link, keeps it at rest
+    sticking_motor: np.ndarray
+    sticking_link: np.ndarray
 
     @property
     def nbytes(self) -> int:
@@ -59,7 +60,7 @@ class Chains:
         self.period = motion.readings.period
         self.t = motion.readings.time - motion.readings.start
         self.floating = motion.robot.file.offsets == "per_recording"
-        self.calm: Chains | None = None  # of the same motion without its sensors' noise
+        self.denoised: Chains | None = None  # of the same motion without its sensors' noise
         self._recent: LruCache[Chain] = LruCache()
         self._bases: dict[int, JointReadings] = {}
         self._corrected: LruCache[JointReadings] = LruCache()
@@ -130,22 +131,24 @@ class Chains:
             motor_hat, spring_hat = self._gated_drive(e, drive, motor_hat, spring_hat, q_hat, theta_hat)
         motor_hat = motor_hat + self._torques(at[Site.MOTOR], signals)
         link_hat = self._torques(at[Site.LINK], signals)
-        calm, held_motor, held_link = None, NOWHERE, NOWHERE
-        if self.calm is not None and _dry(effects):
-            calm = self.calm.get(i, [e for e in effects if not e.effect.overrides("level")])
+        denoised, sticking_motor, sticking_link = None, NOWHERE, NOWHERE
+        if self.denoised is not None and _dry(effects):
+            denoised = self.denoised.get(i, [e for e in effects if not e.effect.overrides("level")])
         if _dry(at[Site.LINK]):
             own = self._pulling(i, at, motor_hat, spring_hat, readings.reading)
-            rubbing, held_link = self._link_friction(i, at, signals, own + link_hat, calm)
+            rubbing, sticking_link = self._link_friction(i, at, signals, own + link_hat, denoised)
             link_hat = link_hat + rubbing
         if _dry(at[Site.MOTOR]) and base.driven:
             net_hat = motor_hat - self._load(i, at[Site.BODY], spring_hat, link_hat, readings.reading)
-            rubbing, held_motor = self._motor_friction(i, at, signals, drive, net_hat, calm)
+            rubbing, sticking_motor = self._motor_friction(i, at, signals, drive, net_hat, denoised)
             motor_hat = motor_hat + rubbing
         change = q_hat - base.q_hat if q is not base.q else None
         if joint.rigid:
             motor_hat, link_hat = motor_hat + link_hat, 0.0
         link_hat = link_hat + np.zeros_like(spring_hat)
-        return Chain(motor_hat, spring_hat, link_hat, readings.reading, change, scale, held_motor, held_link)
+        return Chain(
+            motor_hat, spring_hat, link_hat, readings.reading, change, scale, sticking_motor, sticking_link
+        )
 
     def command_scale(self, i: int, effects: Sequence[Planned]) -> float:
         """One over the gain that effects of the command have for a small torque. A balance is counted in
@@ -172,7 +175,7 @@ class Chains:
         offsets that is known up to a constant only: the link's dynamics say it."""
         if self.motion.robot.joints[i].rigid or self._floats(i):
             return self.filter.spectrum(self.loads.carried(i, bodies)) - link_hat
-        return self.base(i).told(spring_hat, reading)
+        return self.base(i).combined(spring_hat, reading)
 
     def _floats(self, i: int) -> bool:
         """Whether the torque of joint i's spring is known up to a constant only: with unknown encoder offsets
@@ -212,8 +215,8 @@ class Chains:
         torque = base.torque
         signals = Signals(t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta)
         # 0 where a neighbour's is not recorded: then nothing shows what it does here
-        told = [self.base(k).torque for k in range(len(self.motion.robot.joints))]
-        signals.tau_m_before, signals.tau_m_after = neighbours(told, i)
+        torques = [self.base(k).torque for k in range(len(self.motion.robot.joints))]
+        signals.tau_m_before, signals.tau_m_after = neighbours(torques, i)
         for e in signal_order(effects):
             p, before, signals.tau_m = e.p, torque, torque
             if e.effect.overrides("delay"):
@@ -285,19 +288,19 @@ class Chains:
         at: Mapping[Site, Sequence[Planned]],
         signals: Signals,
         torque_hat: np.ndarray,
-        calm: Chain | None,
+        denoised: Chain | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         load = self.loads.carried(i, at[Site.BODY])
-        if self.calm is not None and calm is not None:
-            own = self._pulling(i, at, calm.motor, calm.spring_torque, calm.reading)
-            net, calm_net = self._times(torque_hat, own + calm.link)
-            net, calm_net = net - load, calm_net - self.calm.loads.carried(i, at[Site.BODY])
+        if self.denoised is not None and denoised is not None:
+            own = self._pulling(i, at, denoised.motor, denoised.spring_torque, denoised.reading)
+            net, denoised_net = self._times(torque_hat, own + denoised.link)
+            net, denoised_net = net - load, denoised_net - self.denoised.loads.carried(i, at[Site.BODY])
         else:
-            net = calm_net = self._time(torque_hat) - load
+            net = denoised_net = self._time(torque_hat) - load
         if self.floating:
-            net, calm_net = net - np.mean(net), calm_net - np.mean(calm_net)
+            net, denoised_net = net - np.mean(net), denoised_net - np.mean(denoised_net)
         return self._rubbing(
-            _dry(at[Site.LINK]), signals, signals.dq, net, calm_net, self._link_inertia(i), self._noise(i)
+            _dry(at[Site.LINK]), signals, signals.dq, net, denoised_net, self._link_inertia(i), self._noise(i)
         )
 
     def _pulling(
@@ -311,7 +314,7 @@ class Chains:
         """Spectrum of what pulls at a link from its motor's side."""
         if self.motion.robot.joints[i].rigid:
             return motor_hat
-        return self.base(i).told(spring_hat, reading, None if _dry(at[Site.MOTOR]) else motor_hat)
+        return self.base(i).combined(spring_hat, reading, None if _dry(at[Site.MOTOR]) else motor_hat)
 
     def _motor_friction(
         self,
@@ -320,18 +323,20 @@ class Chains:
         signals: Signals,
         drive: Drive,
         net_hat: np.ndarray,
-        calm: Chain | None,
+        denoised: Chain | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         rigid = self.motion.robot.joints[i].rigid
         inertia = float(drive.B) + (self._link_inertia(i) if rigid else 0.0)
-        if self.calm is not None and calm is not None:
-            load = self.calm._load(i, at[Site.BODY], calm.spring_torque, calm.link, calm.reading)
-            calm_hat = calm.motor - load
-            net, calm_net = self._times(net_hat, calm_hat)
+        if self.denoised is not None and denoised is not None:
+            load = self.denoised._load(
+                i, at[Site.BODY], denoised.spring_torque, denoised.link, denoised.reading
+            )
+            denoised_hat = denoised.motor - load
+            net, denoised_net = self._times(net_hat, denoised_hat)
         else:
-            net = calm_net = self._time(net_hat)
+            net = denoised_net = self._time(net_hat)
         return self._rubbing(
-            _dry(at[Site.MOTOR]), signals, signals.dtheta, net, calm_net, inertia, self._noise(i)
+            _dry(at[Site.MOTOR]), signals, signals.dtheta, net, denoised_net, inertia, self._noise(i)
         )
 
     def _noise(self, i: int) -> float:
@@ -347,7 +352,7 @@ class Chains:
         signals: Signals,
         speed: np.ndarray,
         net: np.ndarray,
-        calm_net: np.ndarray,
+        denoised_net: np.ndarray,
         inertia: float,
         noise: float,
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -357,7 +362,7 @@ class Chains:
         rest = self.friction.rest_speed(levels, inertia, noise)
         if rest < limits.rest_speed:
             levels = self._levels(effects, signals, speed, rest)
-        return self.friction.spectrum(levels, speed, net, calm_net, inertia, rest)
+        return self.friction.spectrum(levels, speed, net, denoised_net, inertia, rest)
 
     def _levels(
         self, effects: Sequence[Planned], signals: Signals, speed: np.ndarray, rest: float
@@ -378,14 +383,14 @@ class Chains:
         """Internal state of an effect along the recording, driven by its joint's signals without noise."""
         if not e.effect.states:
             return 0.0
-        quiet = self._without_noise(e, signals)
-        quiet.phi = self.filter.smooth(quiet.phi)
-        return state_along(e, quiet, self.period, reach_of_ends(self.motion.readings))
+        smooth = self._without_noise(e, signals)
+        smooth.phi = self.filter.smooth(smooth.phi)
+        return state_along(e, smooth, self.period, reach_of_ends(self.motion.readings))
 
     def _without_noise(self, e: Planned, signals: Signals) -> Signals:
         """A copy of the signals of an effect's joint without their sensors' noise: a state's law takes the
         magnitude of a speed, and a mean of noise does not vanish there."""
-        if self.calm is None or e.joint is None:
+        if self.denoised is None or e.joint is None:
             return replace(signals)
         noise = self.base(self.motion.robot.joint_names.index(e.joint)).noise
         less = {name: getattr(signals, name) - getattr(noise, name) for name in DRIVING}

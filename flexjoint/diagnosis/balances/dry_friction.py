@@ -48,7 +48,7 @@ class DryFriction:
         levels: np.ndarray,
         speed: np.ndarray,
         net: np.ndarray,
-        calm_net: np.ndarray,
+        denoised_net: np.ndarray,
         inertia: float,
         rest: float,
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -60,11 +60,11 @@ class DryFriction:
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
         """
         window = self._window
-        if float(np.std(net - calm_net)) > self.settings.noisy_friction * float(np.max(levels)):
-            net = calm_net
+        if float(np.std(net - denoised_net)) > self.settings.noisy_friction * float(np.max(levels)):
+            net = denoised_net
         backward, forward = levels
-        most_held = self.settings.most_at_rest
-        least, most = -most_held * backward, most_held * forward
+        most_at_rest = self.settings.most_at_rest
+        least, most = -most_at_rest * backward, most_at_rest * forward
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
         reach = 2 * int(np.ceil(self.settings.ringing * self._sigma / window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
@@ -72,11 +72,11 @@ class DryFriction:
             # the filter, giving back what is lost would swing up
             moving = (np.abs(sharp_speed) > rest) & (np.sign(sharp_speed) * speed > rest)
             near = maximum_filter1d(moving, reach)
-            held = np.clip(np.where(near, sharp_net, calm_net + lost), least, most)
-            friction = np.where(moving, np.where(sharp_speed < 0.0, -backward, forward), held)
+            sticking = np.clip(np.where(near, sharp_net, denoised_net + lost), least, most)
+            friction = np.where(moving, np.where(sharp_speed < 0.0, -backward, forward), sticking)
             spectrum = window.spectrum(friction)
             if further:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 sharp_net = net + lost
                 sharp_speed = speed - integral / inertia
-        return -spectrum * window.gain, ~moving & (least < held) & (held < most)
+        return -spectrum * window.gain, ~moving & (least < sticking) & (sticking < most)

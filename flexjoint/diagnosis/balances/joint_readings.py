@@ -69,10 +69,10 @@ class JointReadings:
         sensor = np.full_like(encoders, by_sensor)
         # what is not noise is known to no more than rounding
         least = (ROUNDING * float(np.std(self.spring))) ** 2 + 1e-300
-        told = np.array([self._complete, self.driven and self._complete, np.isfinite(self.tau_t[0])])
-        return np.where(told[:, None], 1.0 / np.maximum([encoders, motor, sensor], least), 0.0)
+        known = np.array([self._complete, self.driven and self._complete, np.isfinite(self.tau_t[0])])
+        return np.where(known[:, None], 1.0 / np.maximum([encoders, motor, sensor], least), 0.0)
 
-    def told(
+    def combined(
         self, spring_hat: np.ndarray, reading: np.ndarray, motor_hat: np.ndarray | None = None
     ) -> np.ndarray:
         """Spectrum of the spring's torque, which a friction holds against, as its deflection, its sensor and
@@ -82,13 +82,13 @@ class JointReadings:
         if gains is None:
             return spring_hat
         spring, motor, sensor = gains
-        told = spring * spring_hat + sensor * reading
-        return told if motor_hat is None else told + motor * motor_hat
+        torque = spring * spring_hat + sensor * reading
+        return torque if motor_hat is None else torque + motor * motor_hat
 
     @cached_property
     def _gains(self) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """(3, F) gains of deflection, motor and sensor in `told`, without the motor and with it; None where
-        the deflection alone tells."""
+        """(3, F) gains of deflection, motor and sensor in `combined`, without the motor and with it; None
+        where only the deflection is known."""
         gains: list[np.ndarray | None] = []
         for motor in (0.0, 1.0):
             shares = self.precisions * np.array([1.0, motor, 1.0])[:, None]

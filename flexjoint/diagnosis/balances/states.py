@@ -17,12 +17,12 @@ def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.n
 
     Rates are affine in the state, so that each step is exact for a drive that changes linearly over it, with
     the mean decay of both its ends. Until the effect sets in its state rests, but for one that follows."""
-    one, held = np.ones_like(signals.t), {}
+    one, steady = np.ones_like(signals.t), {}
     for name in ("dq", "dtheta", "dphi"):
         # before it the filter sees the record's edge, and a state would keep what that does
-        held[name] = getattr(signals, name) * one
-        held[name][:begin] = held[name][begin]
-    signals, p = replace(signals, **held), e.p
+        steady[name] = getattr(signals, name) * one
+        steady[name][:begin] = steady[name][begin]
+    signals, p = replace(signals, **steady), e.p
     offset = e.effect.rate(signals, p, 0.0 * one) * one
     decay = offset - e.effect.rate(signals, p, one)
     first = Signals(**{f.name: float(np.ravel(getattr(signals, f.name))[0]) for f in fields(Signals)})

@@ -28,7 +28,7 @@ PERIODS = 1.5  # sampling periods, whichever is longer
 INFERRED = 2.5  # times as wide a kernel where noise of a torque or an acceleration is what is smoothed
 OFFSET_SPAN = 0.5  # [s] of a recording on which its encoder offsets are estimated (formats)
 HEAVY = 1e7  # a motor this many times as heavy follows its measured motion whatever pulls at it
-SETTLING = 30  # rounds of a fixed point that contracts by (dg/dq)/K, at most some tenths
+REST_ROUNDS = 30  # rounds of a fixed point that contracts by (dg/dq)/K, at most some tenths
 DERIVATIVE = {"q": "dq", "theta": "dtheta"}
 
 Samples = tuple[np.ndarray, np.ndarray]
@@ -239,7 +239,7 @@ class StateEstimator:
         flexible = list(model.flexible)
         force = HEAVY * np.array([joint.drive.B for joint in model.joints])
         q, v = np.empty((len(time), model.nq)), np.empty((len(time), model.nv))
-        x = driven.rest(self._settled(driven, motor[0, :, 0]))
+        x = driven.rest(self._rest_positions(driven, motor[0, :, 0]))
         for phase, rows in spans(driven, time - begin):
             step = make_step(phase, 1.0 / rate)
             for k in range(rows.start, rows.stop):
@@ -253,12 +253,12 @@ class StateEstimator:
             self._samples["q", name] = time, q[:, joint.idx_q]
             self._samples["dq", name] = time, v[:, joint.idx_v]
 
-    def _settled(self, model: FlexibleJointModel, theta: np.ndarray) -> np.ndarray:
+    def _rest_positions(self, model: FlexibleJointModel, theta: np.ndarray) -> np.ndarray:
         """(nq,) link positions at rest with the motors at theta (n,): q = theta - phi(g(q))."""
         q = model.body.neutral.copy()
         places = [joint.idx_q for joint in model.joints]
         q[places] = theta
-        for _ in range(SETTLING):
+        for _ in range(REST_ROUNDS):
             q[places] = theta - (equilibrium(model, q).theta[0] - q[places])
         return q
 
@@ -296,10 +296,10 @@ class StateEstimator:
                 continue
             q, dq, _ = self._smooth("q", joint.name, time)
             theta, dtheta, _ = (q, dq, None) if joint.rigid else self._smooth("theta", joint.name, time)
-            told, *beside = torque[i], *neighbours(torque, i)
-            for slot, value in model.flows[i].steady_state(Signals(q=q[0], theta=theta[0]), told[0]):
+            command, *beside = torque[i], *neighbours(torque, i)
+            for slot, value in model.flows[i].steady_state(Signals(q=q[0], theta=theta[0]), command[0]):
                 out[0, slot] = value
-            columns = np.broadcast_arrays(time - time[0], q, dq, theta, dtheta, told, *beside)
+            columns = np.broadcast_arrays(time - time[0], q, dq, theta, dtheta, command, *beside)
             table = np.stack(columns, axis=1).tolist()
             z = out[0].tolist()
             for phase, rows in spans(model, time - time[0]):

@@ -95,7 +95,8 @@ class Evidence:
 
         The energy of a white residual is -2 log likelihood, up to a constant."""
         own = fit(self.workspace, [*beside, *truth])
-        level = self.workspace.tempered(own.y)  # what filters and friction zones leave counts as noise
+        # what filters and friction zones leave counts as noise
+        level = self.workspace.at_plausible_level(own.y)
         own = fit(level, own.effects)
         others = list(own.effects[: len(beside)])
         best = fit(level, others)

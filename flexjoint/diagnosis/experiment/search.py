@@ -108,5 +108,5 @@ def _judged(
         logs = np.sort([o.log for o in odds])
         return Motion(tuple(waves), float(logs[0] + 0.1 * np.mean(np.minimum(logs, 100.0))), odds, {})
     shown = asked.shown()
-    worth = np.log1p(np.clip(list(shown.values()), 0.0, SATURATED * DETECTABLE) / DETECTABLE)
-    return Motion(tuple(waves), float(np.sum(worth)), (), shown)
+    value = np.log1p(np.clip(list(shown.values()), 0.0, SATURATED * DETECTABLE) / DETECTABLE)
+    return Motion(tuple(waves), float(np.sum(value)), (), shown)

@@ -33,10 +33,10 @@ class Estimate:
     gain: float  # of energy on held-out windows, against the numbers it started from, and
     chance: float  # what chance alone is expected to take from it
     outlying: float  # share of the windows that were left out
-    pulled: float  # prior deviations by which the furthest nominal number had to move
+    furthest: float  # prior deviations by which the furthest nominal number had to move
     seconds: float
     passes: int
-    settled: bool
+    converged: bool
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Refinement:
         gain, chance = self._held_out(point)
         chance *= float(np.max(grown)) ** 2
         outlying = 1.0 - float(np.mean(used))
-        pulled = float(np.max(np.abs(point.deviations), initial=0.0))
+        furthest = float(np.max(np.abs(point.deviations), initial=0.0))
         return Estimate(
             point.slots,
             spread,
@@ -119,7 +119,7 @@ class Refinement:
             gain,
             chance,
             outlying,
-            pulled,
+            furthest,
             self.shooting.seconds,
             passes,
             left < limits.small_step,

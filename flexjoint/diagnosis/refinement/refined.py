@@ -129,7 +129,7 @@ def _follows(estimate: Estimate, settings: Settings) -> bool:
     """Whether the simulation follows the readings to their noise, with nominal numbers that machines have."""
     limits = settings.refinement
     to_noise = estimate.level < limits.follows and estimate.outlying <= limits.few_outlying
-    return bool(to_noise and estimate.settled and estimate.pulled <= settings.regression.plausible)
+    return bool(to_noise and estimate.converged and estimate.furthest <= settings.regression.plausible)
 
 
 def _against(estimate: Estimate, settings: Settings) -> str:
@@ -139,9 +139,9 @@ def _against(estimate: Estimate, settings: Settings) -> str:
         return "the simulation left the finite numbers"
     if estimate.outlying > settings.refinement.most_outlying:
         return "the simulation does not follow the readings"
-    if estimate.pulled > settings.regression.implausible:
+    if estimate.furthest > settings.regression.implausible:
         return "the simulation follows only with nominal numbers far from their tolerances"
-    if not estimate.settled:
+    if not estimate.converged:
         return "the refinement on the simulation did not converge"
     if estimate.gain < -settings.refinement.worse * max(estimate.chance, len(estimate.numbers)):
         return "the refinement on the simulation did not hold on windows that it had not seen"

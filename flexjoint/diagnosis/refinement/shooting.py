@@ -103,14 +103,14 @@ class Shooting:
         self.rate = physics_rate(robot)
         self.steps = 2 * max(1, round(0.5 * seconds * self.rate))  # even: see `coarse`
         free_offsets = _offsets(robot, effects)
-        held = [*workspace.with_nominal(effects), *free_offsets]
-        self.model = FlexibleJointModel(robot, held)
+        at_work = [*workspace.with_nominal(effects), *free_offsets]
+        self.model = FlexibleJointModel(robot, at_work)
         self.estimator = StateEstimator(recording, self.model)
         self.phases = [time for time, _ in self.model.phases]
         self.windows = self._windows()
         loads = [link_load(joint.name) for joint in robot.joints]
         self._symbolic = [
-            SymbolicModel(robot, [*held, *loads], free=("drives",), at=max(time, -1.0))
+            SymbolicModel(robot, [*at_work, *loads], free=("drives",), at=max(time, -1.0))
             for time in self.phases
         ]
         self.parameters = self._symbolic[0].parameters
@@ -312,9 +312,9 @@ class Shooting:
                 change += deviation * np.array(number.direction)
         if not np.any(change):
             return np.zeros((*middle.shape, n))
-        readings, quiet = self.workspace.readings, self.workspace.balances.quiet.motion
+        readings, denoised = self.workspace.readings, self.workspace.balances.denoised.motion
         rows = np.round((middle - readings.time[0]) / readings.period).astype(int)
-        torque = sum(quiet.rigid.regressor.torque(i, change[10 * i : 10 * i + 10]) for i in range(n))
+        torque = sum(denoised.rigid.regressor.torque(i, change[10 * i : 10 * i + 10]) for i in range(n))
         return -np.asarray(torque).T[np.clip(rows, 0, len(readings.time) - 1)]
 
     def _reduced(

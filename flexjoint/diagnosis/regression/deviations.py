@@ -17,18 +17,18 @@ from flexjoint.diagnosis.regression.nuisance import as_effects
 from flexjoint.diagnosis.regression.workspace import REMEMBERED, Workspace
 from flexjoint.effects import Planned, Site
 
-SETTLING = 12  # Gauss-Newton steps of the nominal numbers at most, until what they explain changes by less
-SETTLED = 0.1  # than this energy (beside a stiffness off by a fifth, each step leaves a fifth of an offset)
+MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until what they explain changes by less
+CONVERGED = 0.1  # than this energy (beside a stiffness off by a fifth, each step leaves a fifth of an offset)
 
 
-def held(workspace: Workspace, pull: np.ndarray) -> list[Planned]:
+def deviation_effects(workspace: Workspace, deviations: np.ndarray) -> list[Planned]:
     """Deviations (numbers,) of the nominal numbers, as effects that a model can hold."""
     other_component = workspace.settings.regression.other_component
     inertial = workspace.motion.rigid.inertial
-    return as_effects(workspace.nuisance, -pull, inertial, workspace.robot, other_component)
+    return as_effects(workspace.nuisance, -deviations, inertial, workspace.robot, other_component)
 
 
-def settled(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
+def converged_deviations(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
     """(numbers,) deviations that explain most of the residual y of some effects, their products included."""
     return workspace.deviations(relinearised(workspace, effects, y))
 
@@ -37,13 +37,13 @@ def relinearised(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray
     """(samples,) the residual y of some effects as it would be if it were linear in the nominal numbers, with
     the values that it has where these explain most of it: their products included, and when a friction holds
     and lets go."""
-    pull = workspace.deviations(y)
-    for _ in range(SETTLING):
-        there = workspace.residual([*effects, *held(workspace, pull)])
-        last, y = pull, there + workspace.along(np.where(_as_effects(workspace), pull, 0.0))
-        pull = workspace.deviations(y)
-        moved = workspace.along(pull - last) * workspace.weights
-        if float(moved @ moved) < SETTLED:
+    deviations = workspace.deviations(y)
+    for _ in range(MOST_STEPS):
+        there = workspace.residual([*effects, *deviation_effects(workspace, deviations)])
+        last, y = deviations, there + workspace.along(np.where(_as_effects(workspace), deviations, 0.0))
+        deviations = workspace.deviations(y)
+        moved = workspace.along(deviations - last) * workspace.weights
+        if float(moved @ moved) < CONVERGED:
             break
     return y
 
@@ -66,7 +66,7 @@ def _shrunk(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> 
     noise = workspace.freedom / rows
     total = 0.0
     for row, size in sizes.items():
-        beyond = max(0.0, float(left[row] @ left[row]) - noise / float(workspace.temper[row]))
+        beyond = max(0.0, float(left[row] @ left[row]) - noise / float(workspace.inflation[row]))
         total += beyond * (1.0 / size**2 - 1.0)
     return total
 
@@ -87,28 +87,30 @@ def _command_sizes(workspace: Workspace, effects: Sequence[Planned]) -> dict[int
         )
         if [e.identity for e in here] == [e.identity for e in nominal]:
             continue
-        told, was = (float(np.std(balances.chains.command(row.joint, of)[used])) for of in (here, nominal))
+        now, was = (float(np.std(balances.chains.command(row.joint, of)[used])) for of in (here, nominal))
         if was > 0.0:  # what a balance in recorded torque does not count already
             chains = balances.chains
             counted = chains.command_scale(row.joint, here) / chains.command_scale(row.joint, nominal)
-            sizes[r] = max(counted * told / was, workspace.settings.regression.least_command)
+            sizes[r] = max(counted * now / was, workspace.settings.regression.least_command)
     return sizes
 
 
 def _evaluated(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) -> float:
     limits = workspace.settings.regression
-    pull = workspace.deviations(y)
+    deviations = workspace.deviations(y)
     far = (
-        np.max(workspace.temper) < limits.noise_decides
-        and np.max(np.abs(pull), initial=0.0) > limits.plausible
+        np.max(workspace.inflation) < limits.noise_decides
+        and np.max(np.abs(deviations), initial=0.0) > limits.plausible
     )
     if not far and not any(whitening.changes_noise(e) for e in effects):
         return workspace.energy(y)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            energy = _energy_at(workspace, pull, effects)
-            if np.max(workspace.temper) < limits.noise_decides:
-                energy = min(energy, _energy_at(workspace, settled(workspace, effects, y), effects))
+            energy = _energy_at(workspace, deviations, effects)
+            if np.max(workspace.inflation) < limits.noise_decides:
+                energy = min(
+                    energy, _energy_at(workspace, converged_deviations(workspace, effects, y), effects)
+                )
     except np.linalg.LinAlgError:  # beside a wrong cause numbers may be so far off that no machine has them
         return workspace.energy(y)
     if not any(e.effect.overrides("edit_inertial") for e in workspace.nominal):
@@ -116,18 +118,18 @@ def _evaluated(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned]) 
     return energy
 
 
-def _energy_at(workspace: Workspace, pull: np.ndarray, effects: Sequence[Planned]) -> float:
+def _energy_at(workspace: Workspace, deviations: np.ndarray, effects: Sequence[Planned]) -> float:
     """Energy of some effects where the nominal numbers are off by these deviations."""
-    there = [*workspace.with_nominal(effects), *held(workspace, pull)]
+    there = [*workspace.with_nominal(effects), *deviation_effects(workspace, deviations)]
     scale = np.array([workspace.torque_scale[r.joint] for r in workspace.balances.rows])
     there_white = whitening.make(workspace.balances, scale, there, like=workspace.whitening)
     white = there_white.apply(workspace.balances.residual(there)).ravel()
     # other nominal numbers (of effects, offsets) change no noise: their part stays linear
-    linear = workspace.along(np.where(_as_effects(workspace), 0.0, pull))
+    linear = workspace.along(np.where(_as_effects(workspace), 0.0, deviations))
     residual = (white - linear) * workspace.weights
-    return float(residual @ residual) + float(pull @ pull)
+    return float(residual @ residual) + float(deviations @ deviations)
 
 
 def _as_effects(workspace: Workspace) -> np.ndarray:
-    """(numbers,) bool: those of which `held` makes effects."""
-    return np.array([n.held_as_effect for n in workspace.nuisance], dtype=bool)
+    """(numbers,) bool: those of which `deviation_effects` makes effects."""
+    return np.array([n.becomes_effect for n in workspace.nuisance], dtype=bool)

@@ -11,7 +11,12 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.deviations import held, judged_energy, relinearised, settled
+from flexjoint.diagnosis.regression.deviations import (
+    converged_deviations,
+    deviation_effects,
+    judged_energy,
+    relinearised,
+)
 from flexjoint.diagnosis.regression.nuisance import entangles
 from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.settings import RegressionSettings, Settings
@@ -67,7 +72,7 @@ class Fit:
         return self.judge()
 
     @cached_property
-    def pulled(self) -> float:
+    def furthest(self) -> float:
         """Prior deviations by which the furthest nominal number has to be off."""
         return self.workspace.furthest(self.y)
 
@@ -75,12 +80,12 @@ class Fit:
 def shifts(result: Fit) -> list[Planned]:
     """What the nominal numbers' own tolerances take on beside the fitted effects, as effects: where they are
     at work, as two small deviations also have a product (a spring's with its encoders' offsets)."""
-    return held(result.workspace, settled_numbers(result))
+    return deviation_effects(result.workspace, nominal_deviations(result))
 
 
-def settled_numbers(result: Fit) -> np.ndarray:
-    """(numbers,) the same as deviations, of which `deviations.held` makes those effects."""
-    return settled(result.workspace, result.effects, result.y)
+def nominal_deviations(result: Fit) -> np.ndarray:
+    """(numbers,) the same as deviations, of which `deviations.deviation_effects` makes those effects."""
+    return converged_deviations(result.workspace, result.effects, result.y)
 
 
 def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
@@ -111,7 +116,7 @@ def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) 
 def _bent(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
     """What the residual y of effects lacks of one that knows when friction holds a body whose load or spring
     is off by what the nominal numbers' tolerances take on. Implausible numbers tell nothing of that."""
-    if workspace.strain > 1.0 or not any(e.effect.overrides("level") for e in effects):
+    if workspace.implausibility > 1.0 or not any(e.effect.overrides("level") for e in effects):
         return 0.0
     return relinearised(workspace, effects, y) - y
 

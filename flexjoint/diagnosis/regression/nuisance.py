@@ -34,7 +34,7 @@ class Nuisance:
     spread: float
 
     @property
-    def held_as_effect(self) -> bool:
+    def becomes_effect(self) -> bool:
         """Whether `as_effects` makes an effect of its deviation."""
         return self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")
 
@@ -283,20 +283,20 @@ class Columns:
     def _loads_beside(self, entangled: Mapping[str, Sequence[Planned]]) -> dict[int, np.ndarray]:
         """Columns of links' numbers whose loads a friction holds: where it does, they leave no trace."""
         names, chains = self.robot.joint_names, self.balances.chains
-        held: dict[tuple[str, int], np.ndarray] = {}  # by balance and joint
+        sticking: dict[tuple[str, int], np.ndarray] = {}  # by balance and joint
         for joint, own in entangled.items():
             i = names.index(joint)
             if chains.rests_on_load(i, own):
                 chain = chains.get(i, own)
-                for balance, where in ((LINK, chain.held_link), (MOTOR, chain.held_motor)):
+                for balance, where in ((LINK, chain.sticking_link), (MOTOR, chain.sticking_motor)):
                     row = (MOTOR if self.robot.joints[i].rigid else balance, i)
                     if np.any(where):
-                        held[row] = where | held.get(row, False)
+                        sticking[row] = where | sticking.get(row, False)
         out: dict[int, np.ndarray] = {}
-        for k, direction in self._directions.items() if held else ():
+        for k, direction in self._directions.items() if sticking else ():
             torque = self.balances.inertial_torque(names.index(str(self.nuisance[k].joint)), direction)
             taken = {
-                row: self._spectrum(w * torque[row[1]]) for row, w in held.items() if torque[row[1]].any()
+                row: self._spectrum(w * torque[row[1]]) for row, w in sticking.items() if torque[row[1]].any()
             }
             if taken:
                 out[k] = self.matrix[k] + self._column(taken)

@@ -25,7 +25,7 @@ from flexjoint.diagnosis.regression.whitening import Band
 from flexjoint.effects import Effect, Planned, Signals
 from flexjoint.model.joint import neighbours
 
-TEMPER_ROUNDS = 12
+LEVEL_ROUNDS = 12
 UNCORRELATED = 0.05  # below it a correlation is taken to have ended: it is estimated no better
 REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that effects move
 
@@ -66,11 +66,11 @@ class Workspace:
         self._starts: dict[tuple[str, str | None], tuple[dict[str, float], ...]] = {}
         self._recent: LruCache[np.ndarray] = LruCache()
         self._moves: LruCache[Moves] = LruCache()
-        self._columns = Columns(balances.quiet, self.whitening, self.readings)
+        self._columns = Columns(balances.denoised, self.whitening, self.readings)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
         self._entangled: tuple[Planned, ...] = ()  # effects beside which actuators' numbers do something else
-        self.temper = np.ones(len(rows))
-        self.strain = 1.0  # the factor in `temper` that stands for implausible nominal numbers
+        self.inflation = np.ones(len(rows))
+        self.implausibility = 1.0  # the factor in `inflation` that stands for implausible nominal numbers
         self.used = np.ones(self.time.size)
         self._grams = self._grams_of_rows(self.used)
         self.gram, self._gram = self._weighed()
@@ -134,23 +134,23 @@ class Workspace:
     def _weighed(self) -> tuple[np.ndarray, Any]:
         """(k, k) products of the nominal numbers' columns with their priors, and their Cholesky factor."""
         # J is never stored weighted, for its size
-        gram = np.tensordot(1.0 / self.temper, self.moves.grams, 1) + np.eye(len(self._plain))
+        gram = np.tensordot(1.0 / self.inflation, self.moves.grams, 1) + np.eye(len(self._plain))
         return gram, cho_factor(gram)
 
     @property
     def weights(self) -> np.ndarray:
         """(samples,) by which a residual is multiplied at these variances; 0 where it is not used."""
-        return np.outer(1.0 / np.sqrt(self.temper), self.used).ravel()
+        return np.outer(1.0 / np.sqrt(self.inflation), self.used).ravel()
 
     @property
     def squares(self) -> np.ndarray:
         """(samples,) squares of the weights."""
-        return np.outer(1.0 / self.temper, self.used).ravel()
+        return np.outer(1.0 / self.inflation, self.used).ravel()
 
-    def at(self, temper: np.ndarray, strain: float = 1.0) -> Workspace:
-        """The same workspace with each balance's variance taken as `temper` (rows,) times the predicted
+    def at(self, inflation: np.ndarray, implausibility: float = 1.0) -> Workspace:
+        """The same workspace with each balance's variance taken as `inflation` (rows,) times the predicted
         noise: for comparing models of which none is complete."""
-        return self._changed(temper=temper, strain=strain)
+        return self._changed(inflation=inflation, implausibility=implausibility)
 
     def about(self, effects: Sequence[Planned]) -> Workspace:
         """The same workspace with the nominal numbers' columns taken where these effects, beyond the nominal
@@ -176,27 +176,27 @@ class Workspace:
         counted = used.astype(float)
         return self._changed(used=counted, _grams=self._grams_of_rows(counted), _moves=LruCache())
 
-    def settled(self, y: np.ndarray) -> Workspace:
+    def at_free_level(self, y: np.ndarray) -> Workspace:
         """The workspace at the variances that a residual y shows once the nominal numbers have explained what
         they can, plausible or not."""
-        here = self.at(np.ones_like(self.temper))
-        for _ in range(TEMPER_ROUNDS):
+        here = self.at(np.ones_like(self.inflation))
+        for _ in range(LEVEL_ROUNDS):
             levels = here.levels(y)
-            if np.all(levels <= 1.02 * here.temper):
+            if np.all(levels <= 1.02 * here.inflation):
                 break
-            here = here.at(np.maximum(levels, here.temper))
+            here = here.at(np.maximum(levels, here.inflation))
         return here
 
-    def tempered(self, y: np.ndarray) -> Workspace:
+    def at_plausible_level(self, y: np.ndarray) -> Workspace:
         """The workspace at the variances that a residual y shows once the nominal numbers have explained
         what they plausibly can; correlated leftovers count as the few independent samples they are."""
         limits = self.settings.regression
-        here = self.settled(y)
+        here = self.at_free_level(y)
         while here.furthest(y) > limits.plausible and here.energy(y) > 2.0 * limits.telling:
-            here = here.at(2.0 * here.temper, 2.0 * here.strain)
+            here = here.at(2.0 * here.inflation, 2.0 * here.implausibility)
         if here.energy(y) <= 2.0 * limits.telling:
             return here
-        return here.at(np.maximum(here.temper, here.levels(y)), here.strain)
+        return here.at(np.maximum(here.inflation, here.levels(y)), here.implausibility)
 
     def levels(self, y: np.ndarray) -> np.ndarray:
         """(rows,) variance of what the nominal numbers leave of y, times its correlation time in samples;
@@ -231,10 +231,10 @@ class Workspace:
     def _residual(self, extra: Sequence[Planned]) -> np.ndarray:
         if not extra:
             return self.whitened(self.nominal)
-        every, loud = self.with_nominal(extra), self._loud(extra)
-        change = self.balances.changed(self.nominal, loud)
-        if len(loud) < len(every):
-            _add(change, self.balances.quiet.changed(loud, every))
+        every, measured = self.with_nominal(extra), self._on_measured(extra)
+        change = self.balances.changed(self.nominal, measured)
+        if len(measured) < len(every):
+            _add(change, self.balances.denoised.changed(measured, every))
         return self.residual([]) + self.whitening.white(self.whitening.band(change)).ravel()
 
     def remembered(self, what: str, effects: Sequence[Planned], make: Callable[[], np.ndarray]) -> np.ndarray:
@@ -247,20 +247,20 @@ class Workspace:
 
     def moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
         """The same before it is whitened."""
-        a, b = self._loud(extra), self._loud(other)
+        a, b = self._on_measured(extra), self._on_measured(other)
         change = self.balances.changed(a, b)
         every_a, every_b = self.with_nominal(extra), self.with_nominal(other)
         if len(a) < len(every_a) or len(b) < len(every_b):
-            _add(change, self.balances.quiet.changed(every_a, every_b))
-            _add(change, self.balances.quiet.changed(a, b), -1.0)
+            _add(change, self.balances.denoised.changed(every_a, every_b))
+            _add(change, self.balances.denoised.changed(a, b), -1.0)
         return self.whitening.band(change)
 
-    def calmly_moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
+    def denoised_moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
         """`moved_band` along the denoised recording."""
         before, after = self.with_nominal(extra), self.with_nominal(other)
-        return self.whitening.band(self.balances.quiet.changed(before, after))
+        return self.whitening.band(self.balances.denoised.changed(before, after))
 
-    def _loud(self, extra: Sequence[Planned]) -> list[Planned]:
+    def _on_measured(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
         kept = [e for e in extra if not whitening.shapes_noise(e, self.balances)]
         replaced = {e.key for e in extra}
@@ -350,8 +350,8 @@ class Workspace:
 
     @property
     def noise_energy(self) -> float:
-        """Energy that the predicted noise alone has at this temper."""
-        return float(np.sum(1.0 / self.temper)) * self.freedom / len(self.temper)
+        """Energy that the predicted noise alone has at this inflation."""
+        return float(np.sum(1.0 / self.inflation)) * self.freedom / len(self.inflation)
 
     def starts(self, effect: Effect, joint: str | None) -> tuple[dict[str, float], ...]:
         """From where an effect of a joint is looked for."""
@@ -398,7 +398,7 @@ class Workspace:
 
     def inertial_band(self, i: int, change: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (10,) of the inertial parameters of joint i's link."""
-        return self._columns.load_band(self.balances.quiet.inertial_torque(i, change))
+        return self._columns.load_band(self.balances.denoised.inertial_torque(i, change))
 
 
 def _add(spectra: dict[int, np.ndarray], more: dict[int, np.ndarray], sign: float = 1.0) -> None:

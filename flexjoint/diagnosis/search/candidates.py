@@ -196,7 +196,7 @@ def _trace(
     }
 
     # between two noises that are moved apart lies a smaller one, which is no trace of a delay
-    moved = workspace.calmly_moved_band if effect.overrides("delay") else workspace.moved_band
+    moved = workspace.denoised_moved_band if effect.overrides("delay") else workspace.moved_band
 
     def column(values: Mapping[str, Any]) -> Band:
         return moved(base, [*without, candidate.planned(values)])

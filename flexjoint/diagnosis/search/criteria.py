@@ -52,10 +52,10 @@ def unexplained_energy(result: Fit) -> float:
 def at_own_level(result: Fit) -> Fit:
     """The fit again, judged against the variance that it leaves itself."""
     for _ in range(LEVEL_ROUNDS):
-        workspace = result.workspace.tempered(result.y)
-        settled = np.all(np.abs(np.log(workspace.temper / result.workspace.temper)) < SAME_LEVEL)
+        workspace = result.workspace.at_plausible_level(result.y)
+        converged = np.all(np.abs(np.log(workspace.inflation / result.workspace.inflation)) < SAME_LEVEL)
         result = fit(workspace, result.effects)
-        if settled:
+        if converged:
             break
     return result
 
@@ -119,36 +119,36 @@ def shown(workspace: Workspace, planned: Planned) -> float:
     return float(max(torques, default=0.0))
 
 
-def worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
+def supported(trial: Fit, without: Fit, added: Planned) -> bool:
     """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error: at the
     level of `trial`, or, where nominal numbers as no machine has them would do instead, where they do not."""
-    if _worthwhile(trial, without, added):
+    if _supported(trial, without, added):
         return True
-    if not strained(without, trial):
+    if not needs_implausible(without, trial):
         return False
-    there, other = (fit(plausible_level(without), f.effects) for f in (trial, without))
-    return _worthwhile(there, other, next(e for e in there.effects if e.key == added.key))
+    there, other = (fit(raised_until_plausible(without), f.effects) for f in (trial, without))
+    return _supported(there, other, next(e for e in there.effects if e.key == added.key))
 
 
-def _worthwhile(trial: Fit, without: Fit, added: Planned) -> bool:
+def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
     if degenerate(trial.workspace, added) or score(trial) >= score(without):
         return False
     if shared_by_tolerances(trial, without, added) or _between_samples(trial, added):
         return False
-    earned, left = explained(trial, without, added), unexplained_energy(trial)
+    gained, left = explained(trial, without, added), unexplained_energy(trial)
     paid = price(trial) - price(without)
-    if earned - paid < trial.settings.search.unexplained_share * left:
+    if gained - paid < trial.settings.search.unexplained_share * left:
         return False
     beside = _sharing_balances(trial, added)
     if beside:
         # what other causes on the joint explain is known only to the method's own error, which has a shape
         # of its own: what leaves next to nothing is not that
         alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
-        if earned < _method_error(trial, earned) * (alone.energy - trial.energy):
+        if gained < _method_error(trial, gained) * (alone.energy - trial.energy):
             return False
     if contradicted(trial, without):
         return False
-    return told_by_motion(trial, earned, added) and material(trial, added, earned)
+    return shown_by_motion(trial, gained, added) and material(trial, added, gained)
 
 
 def _between_samples(trial: Fit, added: Planned) -> bool:
@@ -164,29 +164,29 @@ def _between_samples(trial: Fit, added: Planned) -> bool:
     return bool(longest < trial.settings.search.between_samples * trial.workspace.readings.period)
 
 
-def strained(trial: Fit, other: Fit) -> bool:
+def needs_implausible(trial: Fit, other: Fit) -> bool:
     """Whether a set needs nominal numbers to be off as no machine's are, and further than another set does:
     against a loud error, the price of that is low (of a motor without torque, whose inertia is none)."""
     implausible, further = trial.settings.regression.implausible, trial.settings.search.further
-    return trial.pulled > max(implausible, further * other.pulled)
+    return trial.furthest > max(implausible, further * other.furthest)
 
 
-def only_strained(trial: Fit, without: Fit) -> bool:
+def only_by_implausible(trial: Fit, without: Fit) -> bool:
     """Whether a set is better than another one by such numbers alone: no longer at a level at which what is
     left does not pull them so far."""
-    if trial.pulled <= trial.settings.regression.implausible:
+    if trial.furthest <= trial.settings.regression.implausible:
         return False
-    if not strained(trial, fit(trial.workspace, without.effects)):
+    if not needs_implausible(trial, fit(trial.workspace, without.effects)):
         return False
-    there, other = (fit(plausible_level(trial), f.effects) for f in (trial, without))
+    there, other = (fit(raised_until_plausible(trial), f.effects) for f in (trial, without))
     return score(there) >= score(other)
 
 
-def plausible_level(result: Fit) -> Workspace:
+def raised_until_plausible(result: Fit) -> Workspace:
     """The lowest level at which a fit's leftovers do not pull nominal numbers further than machines' are."""
     workspace = result.workspace
     while workspace.furthest(result.y) > result.settings.regression.plausible:
-        workspace = workspace.at(2.0 * workspace.temper, workspace.strain)
+        workspace = workspace.at(2.0 * workspace.inflation, workspace.implausibility)
     return workspace
 
 
@@ -200,14 +200,14 @@ def _sharing_balances(trial: Fit, added: Planned) -> list[Planned]:
     return [e for e in others if np.any(touched[e.key] & touched[added.key])]
 
 
-def _method_error(trial: Fit, earned: float) -> float:
+def _method_error(trial: Fit, gained: float) -> float:
     """Share of what other causes on its joint explain, that a cause must explain beyond it."""
     limits = trial.settings.search
     left = unexplained_energy(trial)
-    if trial.workspace.motion.missing or earned < limits.cleared * left:
+    if trial.workspace.motion.missing or gained < limits.cleared * left:
         return limits.method_error
-    noise_alone = bool(np.all(trial.workspace.temper < trial.settings.regression.noise_decides))
-    perfect = noise_alone and earned >= limits.beyond_noise + limits.perfect * left
+    noise_alone = bool(np.all(trial.workspace.inflation < trial.settings.regression.noise_decides))
+    perfect = noise_alone and gained >= limits.beyond_noise + limits.perfect * left
     return limits.least_method_error if perfect else limits.finer_method_error
 
 
@@ -240,17 +240,17 @@ def _worse(workspace: Workspace, effects: Sequence[Planned], others: Sequence[Pl
 def explained(trial: Fit, without: Fit, added: Planned) -> float:
     """Energy that `added`, present in `trial`, explains. If it is the change of a nominal number, that number
     is held at its nominal value: far from it, it would explain the same at the price of its deviation."""
-    earned, workspace = without.energy - trial.energy, trial.workspace
+    gained, workspace = without.energy - trial.energy, trial.workspace
     k = own_number(workspace, added)
     if k is not None:
         error = workspace.deviation_errors()[k]
         # holding a number raises a least-squares energy by the square of its deviation in standard errors
         free, left = ((workspace.deviations(y)[k] / error) ** 2 for y in (without.y, trial.y))
-        earned += float(free - left)
-    return earned
+        gained += float(free - left)
+    return gained
 
 
-def told_by_motion(trial: Fit, earned: float, added: Planned) -> bool:
+def shown_by_motion(trial: Fit, gained: float, added: Planned) -> bool:
     """Whether the energy that `added` earns comes from the motion: at the sensors' noise, a law of little
     energy (a gap as wide as that noise) may earn as much from the noise that it shrinks, which it no longer
     does along the denoised recording. One that shifts signals in time moves their noise n against the other
@@ -258,31 +258,31 @@ def told_by_motion(trial: Fit, earned: float, added: Planned) -> bool:
     limits = trial.settings.search
     workspace = trial.workspace
     if (
-        earned >= limits.beyond_noise
-        or np.max(workspace.temper) >= workspace.settings.regression.noise_decides
+        gained >= limits.beyond_noise
+        or np.max(workspace.inflation) >= workspace.settings.regression.noise_decides
     ):
         return True
     others = [e for e in trial.effects if e is not added]
     before = workspace.residual(others)
-    moved = workspace.whitening.white(workspace.calmly_moved_band(others, trial.effects)).ravel()
-    calm, loud = (workspace.energy(before) - workspace.energy(y) for y in (before + moved, trial.y))
+    moved = workspace.whitening.white(workspace.denoised_moved_band(others, trial.effects)).ravel()
+    denoised, measured = (workspace.energy(before) - workspace.energy(y) for y in (before + moved, trial.y))
     if added.effect.kind is Kind.TIMING:
         moved_noise = _moved_noise(workspace, others, trial.effects)
-        if earned < limits.moved_noise * moved_noise:
+        if gained < limits.moved_noise * moved_noise:
             return False
-    return calm >= limits.denoised_share * loud
+    return denoised >= limits.denoised_share * measured
 
 
 def _moved_noise(workspace: Workspace, effects: Sequence[Planned], others: Sequence[Planned]) -> float:
     """Root of the energy that the sensors' noise gets where it is moved by other effects."""
     before, after = workspace.with_nominal(effects), workspace.with_nominal(others)
-    loud, quiet = (b.changed(before, after) for b in (workspace.balances, workspace.balances.quiet))
-    noise = {row: spectrum - quiet[row] for row, spectrum in loud.items() if row in quiet}
+    measured, denoised = (b.changed(before, after) for b in (workspace.balances, workspace.balances.denoised))
+    noise = {row: spectrum - denoised[row] for row, spectrum in measured.items() if row in denoised}
     white = workspace.whitening.white(workspace.whitening.band(noise)).ravel()
     return float(np.sqrt(np.sum(white**2)))
 
 
-def material(trial: Fit, added: Planned, earned: float) -> bool:
+def material(trial: Fit, added: Planned, gained: float) -> bool:
     """Whether an effect's torque is beyond the tolerance for what a model does not hold. That tolerance
     stands for errors of the model; where noise alone is left there are none, and next to none where the
     effect clears the balances that it touches: smaller effects count there that are beyond doubt."""
@@ -291,15 +291,15 @@ def material(trial: Fit, added: Planned, earned: float) -> bool:
         return False
     shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))
     tolerance = trial.workspace.robot.tolerance.torque
-    doubtful = earned < (limits.certain if added.since is None else limits.certain_dated)
-    if np.max(shares) >= tolerance or np.max(shares) < limits.negligible * tolerance or doubtful:
+    uncertain = gained < (limits.certain if added.since is None else limits.certain_dated)
+    if np.max(shares) >= tolerance or np.max(shares) < limits.negligible * tolerance or uncertain:
         return bool(np.max(shares) >= tolerance)
     touched = shares > 0.0
-    left = at_own_level(trial).workspace.temper[touched]
+    left = at_own_level(trial).workspace.inflation[touched]
     if np.all(left < trial.settings.regression.noise_decides):
         return True
     others = [e for e in trial.effects if e is not added]
-    before = at_own_level(fit(trial.workspace, others)).workspace.temper[touched]
+    before = at_own_level(fit(trial.workspace, others)).workspace.inflation[touched]
     wrong = before > limits.wrong
     return bool(np.any(wrong) and np.mean(np.log(before[wrong] / left[wrong])) >= np.log(limits.cleared))
 
@@ -320,7 +320,7 @@ def shared_by_tolerances(trial: Fit, without: Fit, added: Planned) -> bool:
     """Whether an effect is the change of a nominal number that need not be off by more than its tolerance
     claims, as others are off, too. Where more than noise is left, deviations say less than they are."""
     k = own_number(trial.workspace, added)
-    if k is None or np.max(trial.workspace.temper) >= trial.settings.regression.noise_decides:
+    if k is None or np.max(trial.workspace.inflation) >= trial.settings.regression.noise_decides:
         return False
     return bool(abs(trial.workspace.deviations(without.y)[k]) <= trial.settings.search.tolerated)
 

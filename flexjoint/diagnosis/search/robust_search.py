@@ -27,7 +27,7 @@ from flexjoint.diagnosis.comparison.compare import HORIZON, compare
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.search.candidates import Candidate
-from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, worthwhile
+from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, supported
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.search.trials import on_all_joints
@@ -52,9 +52,9 @@ class JointwiseWorkspace(Workspace):
         reported against that."""
         return self._deviation
 
-    def tempered(self, y: np.ndarray) -> Workspace:
+    def at_plausible_level(self, y: np.ndarray) -> Workspace:
         """As `Workspace.tempered`, joint by joint."""
-        base, strain = self.settled(y).temper, np.ones_like(self.temper)
+        base, implausibility = self.at_free_level(y).inflation, np.ones_like(self.inflation)
         here = self.at(base)
         rows = np.array([row.joint for row in self.balances.rows])
         owner = np.array(
@@ -65,14 +65,15 @@ class JointwiseWorkspace(Workspace):
             full = [
                 j
                 for j in range(len(self.robot.joints))
-                if np.max(strain[rows == j], initial=0.0) >= self.settings.robust_search.most_inflation
+                if np.max(implausibility[rows == j], initial=0.0)
+                >= self.settings.robust_search.most_inflation
             ]
             far[(owner < 0) | np.isin(owner, full) | ~np.isin(owner, rows)] = 0.0
             if not far.size or np.max(far) <= self.settings.regression.plausible:
                 break
-            strain[rows == owner[np.argmax(far)]] *= 2.0
-            here = here.at(base * strain, float(np.max(strain)))
-        return here.at(np.maximum(here.temper, here.levels(y)), float(np.max(strain)))
+            implausibility[rows == owner[np.argmax(far)]] *= 2.0
+            here = here.at(base * implausibility, float(np.max(implausibility)))
+        return here.at(np.maximum(here.inflation, here.levels(y)), float(np.max(implausibility)))
 
 
 @dataclass(frozen=True)
@@ -100,20 +101,20 @@ def search_robustly(
     denied = np.flatnonzero(here.readings.noise["q"] > usual).tolist()
     if not denied:
         return None
-    look = _Look(robot, recording, here, candidates)
-    best = _still_earning(at_own_level(fit(here, selection.best.effects)))
-    before = look.errors(best.effects)
+    search = _JointSearch(robot, recording, here, candidates)
+    best = _still_supported(at_own_level(fit(here, selection.best.effects)))
+    before = search.errors(best.effects)
     if before is None:
         return None
     rivals: dict[tuple[str, str | None], tuple[Fit, ...]] = {}
     for k in denied:
         report(k / len(robot.joints), f"looking again at {robot.joint_names[k]}")
-        found = look.best_of(best, before, k)
+        found = search.best_of(best, before, k)
         if found is None:
             continue
         best, before, others = found
         rivals[best.effects[-1].key] = others
-        beside = look.beside(best, before, k)
+        beside = search.beside(best, before, k)
         if beside is not None:
             best, before = beside
             rivals[best.effects[-1].key] = ()
@@ -138,7 +139,7 @@ class _Tried:
     cleared: float  # the variance left in its balances, by this one
 
 
-class _Look:
+class _JointSearch:
     """Tries the candidates of one joint after the other."""
 
     def __init__(
@@ -163,7 +164,7 @@ class _Look:
     def cleared(self, best: Fit, trial: Fit, k: int) -> float:
         """Factor in variance by which a set leaves less in the balances of joint k."""
         rows = np.array([row.joint == k for row in self.workspace.balances.rows])
-        before, after = (self.workspace.settled(f.y).temper[rows] for f in (best, trial))
+        before, after = (self.workspace.at_free_level(f.y).inflation[rows] for f in (best, trial))
         wrong = before > best.settings.search.wrong
         return float(np.exp(np.mean(np.log(before[wrong] / after[wrong])))) if np.any(wrong) else 1.0
 
@@ -218,12 +219,12 @@ class _Look:
         return trial, errors
 
 
-def _still_earning(best: Fit) -> Fit:
+def _still_supported(best: Fit) -> Fit:
     """The first look's set without what was named on the word of a link encoder that is not trusted here."""
     for planned in best.effects:
         without = fit(best.workspace, [e for e in best.effects if e is not planned])
-        if len(best.effects) > 1 and not worthwhile(best, without, planned):
-            return _still_earning(at_own_level(without))
+        if len(best.effects) > 1 and not supported(best, without, planned):
+            return _still_supported(at_own_level(without))
     return best
 
 
@@ -231,11 +232,11 @@ def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
     """The set with what several joints are late by on all of them, where that earns its place now that the
     other causes are in."""
     for wider in on_all_joints(best, candidates):
-        settled = at_own_level(wider)
-        added = settled.effects[len(best.effects) :]
-        without = [fit(settled.workspace, [e for e in settled.effects if e is not one]) for one in added]
-        if all(worthwhile(settled, less, one) for less, one in zip(without, added, strict=True)):
-            return _on_all_joints(settled, candidates)
+        refitted = at_own_level(wider)
+        added = refitted.effects[len(best.effects) :]
+        without = [fit(refitted.workspace, [e for e in refitted.effects if e is not one]) for one in added]
+        if all(supported(refitted, less, one) for less, one in zip(without, added, strict=True)):
+            return _on_all_joints(refitted, candidates)
     return best
 
 

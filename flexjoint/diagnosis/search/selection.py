@@ -17,11 +17,11 @@ from flexjoint.diagnosis.search.criteria import (
     at_own_level,
     contradicted,
     degenerate,
-    only_strained,
+    only_by_implausible,
     price,
     score,
+    supported,
     unexplained_energy,
-    worthwhile,
 )
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.scan import Scanner, Scored
@@ -96,8 +96,8 @@ def _select(workspace: Workspace, search: Search, report: Progress, start: Seque
         best = _grown(best, search, report, seen, scans, trace)
         report(0.9, "comparing rival causes")
         places = [e for e in best.effects if compared.get(e.key) != _neighbours(best, e)]
-        held, (best, rivals) = best, exchange(search, best, places)
-        trace += _exchanged(held, best)
+        before, (best, rivals) = best, exchange(search, best, places)
+        trace += _exchanged(before, best)
         compared = {e.key: _neighbours(best, e) for e in best.effects}
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.pool)
         if pairs and len(best.effects) < most_effects(workspace):
@@ -110,8 +110,8 @@ def _select(workspace: Workspace, search: Search, report: Progress, start: Seque
                 seen.add(_keys(best))
                 continue
         if len(places) < len(best.effects):  # all rivals are to be those of the set that there is in the end
-            held, (best, rivals) = best, exchange(search, best, best.effects)
-            trace += _exchanged(held, best)
+            before, (best, rivals) = best, exchange(search, best, best.effects)
+            trace += _exchanged(before, best)
         break
     first, last = (scans[0], scans[-1]) if scans else ((), ())
     return Selection(best, nothing, first, last, rivals, trace=tuple(trace))
@@ -134,7 +134,7 @@ def _grown(
         scans.append(both[0])
         found = larger_sets(best, both, bare, search.pool)
         found = found or on_all_joints(best, search.scanner.candidates)
-        grown = _settled(best, found)
+        grown = _best_at_own_level(best, found)
         if grown is None:
             break
         trace += steps_between(best, grown, STAGE, "price", "it explains more than its price")
@@ -146,8 +146,8 @@ def _grown(
         seen.add(_keys(best))
         newest = best.effects[-1]
         older = [e for e in best.effects if e.joint == newest.joint and e is not newest]
-        held, (best, _) = best, exchange(search, best, older)
-        trace += _exchanged(held, best)
+        before, (best, _) = best, exchange(search, best, older)
+        trace += _exchanged(before, best)
     return best
 
 
@@ -155,15 +155,15 @@ def _exchanged(before: Fit, after: Fit) -> tuple[Step, ...]:
     return steps_between(before, after, STAGE, "exchange", "the set with it scores better")
 
 
-def _settled(best: Fit, found: Sequence[Fit]) -> Fit | None:
+def _best_at_own_level(best: Fit, found: Sequence[Fit]) -> Fit | None:
     """The best of some sets, at the level that it leaves, or the next one, if there it is better than `best`
     by implausible numbers alone."""
     waiting = list(found)
     while waiting:
         chosen = choose(waiting)
-        settled = at_own_level(chosen)
-        if not only_strained(settled, best):
-            return settled
+        refitted = at_own_level(chosen)
+        if not only_by_implausible(refitted, best):
+            return refitted
         waiting = [f for f in waiting if f is not chosen]
     return None
 
@@ -231,20 +231,20 @@ def exchange(
         swapped = choose([result, *fits])
         if swapped is not result and exchanges < result.settings.search.most_exchanges:
             exchanges += 1
-            settled = at_own_level(swapped)
-            if _still_better(settled, result):
-                result = prune(settled)
+            refitted = at_own_level(swapped)
+            if _still_better(refitted, result):
+                result = prune(refitted)
                 waiting = [e.key for e in result.effects]
                 continue
         rivals[key] = tuple(sorted(fits, key=score))
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
 
 
-def _still_better(settled: Fit, result: Fit) -> bool:
+def _still_better(refitted: Fit, result: Fit) -> bool:
     """Whether a set with another effect in it is better than a `result` at its own level, too."""
-    if degenerate(settled.workspace, settled.effects[-1]):
+    if degenerate(refitted.workspace, refitted.effects[-1]):
         return False
-    return choose([fit(settled.workspace, result.effects), settled]) is settled
+    return choose([fit(refitted.workspace, result.effects), refitted]) is refitted
 
 
 def containing(result: Fit, replaced: str) -> list[Fit]:
@@ -279,7 +279,7 @@ def prune(result: Fit) -> Fit:
         cheapest: Fit | None = None
         for dropped in result.effects:
             without = fit(result.workspace, [e for e in result.effects if e is not dropped])
-            if not worthwhile(result, without, dropped) and (
+            if not supported(result, without, dropped) and (
                 cheapest is None or score(without) < score(cheapest)
             ):
                 cheapest = without

@@ -17,11 +17,11 @@ from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
     at_own_level,
     degenerate,
-    only_strained,
+    needs_implausible,
+    only_by_implausible,
     score,
-    strained,
+    supported,
     torque_shares,
-    worthwhile,
 )
 from flexjoint.diagnosis.search.scan import Scanner, Scored, onset_margin
 from flexjoint.effects import Kind, Planned
@@ -31,9 +31,9 @@ def at_noise(best: Fit) -> Fit | None:
     """The set fitted at the level of the predicted noise; None where neither a balance is wrong nor a nominal
     number implausible."""
     workspace = best.workspace
-    if workspace.strain <= 1.0 and not np.any(workspace.temper > best.settings.search.wrong):
+    if workspace.implausibility <= 1.0 and not np.any(workspace.inflation > best.settings.search.wrong):
         return None
-    return fit(workspace.at(np.ones_like(workspace.temper)), best.effects)
+    return fit(workspace.at(np.ones_like(workspace.inflation)), best.effects)
 
 
 def larger_sets(
@@ -67,7 +67,7 @@ def larger_sets(
 def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
     """A set with a candidate added, and whether it is better at its level."""
     best, added = task[0], added_to(*task)
-    return added, added is not None and worthwhile(added, best, added.effects[-1])
+    return added, added is not None and supported(added, best, added.effects[-1])
 
 
 def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
@@ -91,12 +91,12 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
     level that it leaves. A set that leaves ten times more than one that does will not be chosen."""
     limits = best.settings.search
     waiting = [(_cleared(best, bare.workspace.levels(f.y), _marked(f, 1)), f) for f in trials]
-    if best.workspace.strain <= 1.0:
+    if best.workspace.implausibility <= 1.0:
         waiting = [(share, f) for share, f in waiting if share >= np.log(limits.cleared)]
     while waiting:
         most = max(share for share, _ in waiting)
         first = [(best, f) for share, f in waiting if share >= most - np.log(limits.cleared)]
-        found = [f for f in pool.map(_settled, first) if f is not None]
+        found = [f for f in pool.map(_cleared_at_own_level, first) if f is not None]
         if found:
             return found
         waiting = [(share, f) for share, f in waiting if share < most - np.log(limits.cleared)]
@@ -113,7 +113,7 @@ def _marked(trial: Fit, last: int) -> np.ndarray:
 def _cleared(best: Fit, levels: np.ndarray, marked: np.ndarray) -> float:
     """By how much (mean logarithm) levels are lower than those of `best`, in the balances that are wrong and
     that what was added marks: of many joints that are wrong, one cause clears its own."""
-    left = best.workspace.temper / best.workspace.strain
+    left = best.workspace.inflation / best.workspace.implausibility
     wrong = (left > best.settings.search.wrong) & marked
     return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
 
@@ -157,7 +157,7 @@ def beside_rivals(
     that the effect contains as a special case, what else there is on its joint stands in for the rest (an
     offset, for the second level of a friction); beside a rival that fits as well, so may it."""
     workspace = best.workspace
-    wrong = workspace.temper / workspace.strain > best.settings.search.wrong
+    wrong = workspace.inflation / workspace.implausibility > best.settings.search.wrong
     joints = {row.joint for row, bad in zip(workspace.balances.rows, wrong, strict=True) if bad}
     names = {workspace.robot.joint_names[joint] for joint in joints}
     tasks = []
@@ -189,40 +189,42 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
     if trial is None:
         return None
     # what two causes do, one law may do as well with nominal numbers that are far off
-    apart = strained(best, trial) and any(_narrower(rival, e) for e in best.effects)
+    apart = needs_implausible(best, trial) and any(_narrower(rival, e) for e in best.effects)
     if not apart and not _clears(best, trial.workspace.levels(trial.y), _marked(trial, 2)):
         return None
-    settled = at_own_level(trial)
-    without = fit(settled.workspace, best.effects)
+    refitted = at_own_level(trial)
+    without = fit(refitted.workspace, best.effects)
     if apart:
-        return settled if score(settled) < score(without) else None
-    return settled if worthwhile(settled, without, settled.effects[len(rival.effects) - 1]) else None
+        return refitted if score(refitted) < score(without) else None
+    return refitted if supported(refitted, without, refitted.effects[len(rival.effects) - 1]) else None
 
 
-def _settled(task: tuple[Fit, Fit]) -> Fit | None:
+def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     """A set of one more effect than `best` at the level that it leaves, if that is clearly lower or no
     nominal number is implausible any more, and it is better there."""
     best, trial = task
-    settled = at_own_level(trial)
-    relieved = best.workspace.strain > 1.0 and settled.workspace.strain <= 1.0
+    refitted = at_own_level(trial)
+    relieved = best.workspace.implausibility > 1.0 and refitted.workspace.implausibility <= 1.0
     # numbers that are implausible with and without it stand for what else is wrong
-    levels = settled.workspace.temper / min(settled.workspace.strain, best.workspace.strain)
-    if not relieved and not _clears(best, levels, _marked(settled, 1)):
+    levels = refitted.workspace.inflation / min(
+        refitted.workspace.implausibility, best.workspace.implausibility
+    )
+    if not relieved and not _clears(best, levels, _marked(refitted, 1)):
         return None
-    without = fit(settled.workspace, best.effects)
-    better = worthwhile(settled, without, settled.effects[-1]) and not only_strained(settled, best)
-    return settled if better else None
+    without = fit(refitted.workspace, best.effects)
+    better = supported(refitted, without, refitted.effects[-1]) and not only_by_implausible(refitted, best)
+    return refitted if better else None
 
 
 def on_one_level(fits: Sequence[Fit], pool: WorkerPool) -> list[Fit]:
     """The fits at the lowest level among theirs, without those that are far worse there."""
     if not fits:
         return []
-    lowest = min((f.workspace for f in fits), key=lambda w: float(np.sum(np.log(w.temper))))
+    lowest = min((f.workspace for f in fits), key=lambda w: float(np.sum(np.log(w.inflation))))
     energies = [lowest.energy(f.y) for f in fits]
     most = lowest.settings.search.far_worse * min(energies)
     kept = [f for f, energy in zip(fits, energies, strict=True) if energy <= most]
-    there = [np.array_equal(f.workspace.temper, lowest.temper) for f in kept]
+    there = [np.array_equal(f.workspace.inflation, lowest.inflation) for f in kept]
     above = [(lowest, f.effects) for f, same in zip(kept, there, strict=True) if not same]
     moved = iter(pool.map(_refitted, above))
     return [f if same else next(moved) for f, same in zip(kept, there, strict=True)]

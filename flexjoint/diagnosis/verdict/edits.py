@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from flexjoint.diagnosis.regression.fit import Fit, fit
-from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, score, worthwhile
+from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, score, supported
 from flexjoint.diagnosis.search.selection import Selection, choose
 from flexjoint.effects import Planned
 
@@ -19,22 +19,22 @@ def plainer(selection: Selection, shrunk: Planned) -> Selection:
     fits = [
         r
         for r in selection.rivals[k]
-        if len(r.effects) == len(best.effects) and worthwhile(r, simplest, r.effects[-1])
+        if len(r.effects) == len(best.effects) and supported(r, simplest, r.effects[-1])
     ]
     if not fits:
         return without(selection, shrunk)
     rival = choose(fits)
-    settled = at_own_level(rival)
-    if degenerate(settled.workspace, settled.effects[-1]):
+    refitted = at_own_level(rival)
+    if degenerate(refitted.workspace, refitted.effects[-1]):
         return without(selection, shrunk)
-    return given_way(selection, k, rival, settled)
+    return given_way(selection, k, rival, refitted)
 
 
-def given_way(selection: Selection, k: int, rival: Fit, settled: Fit) -> Selection:
+def given_way(selection: Selection, k: int, rival: Fit, refitted: Fit) -> Selection:
     """The selection with a rival, at its own level, in the place of effect k, with rivals of its own."""
     kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
-    left = [fit(settled.workspace, r.effects) for r in selection.rivals[k] if r is not rival]
-    return replace(selection, best=settled, rivals=(*kept, tuple(sorted(left, key=score))))
+    left = [fit(refitted.workspace, r.effects) for r in selection.rivals[k] if r is not rival]
+    return replace(selection, best=refitted, rivals=(*kept, tuple(sorted(left, key=score))))
 
 
 def without(selection: Selection, effect: Planned) -> Selection:

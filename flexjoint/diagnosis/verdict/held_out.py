@@ -30,7 +30,7 @@ def gains(workspace: Workspace, best: Fit) -> list[float]:
     away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time, block)
     if not np.any(away) or np.all(away):
         away = np.arange(workspace.time.size) % 2 == 1
-    level = best.workspace.temper
+    level = best.workspace.inflation
     seen, unseen = workspace.at(level).only(~away), workspace.at(level).only(away)
     noise = float(np.sum(1.0 / level)) * float(np.sum(away)) * workspace.whitening.freedom / len(level)
 
@@ -64,11 +64,11 @@ def comparison(
     away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time, block)
     held_out = bool(np.any(away) and not np.all(away))
     if held_out:
-        best = fit(workspace.at(best.workspace.temper).only(~away), best.effects)
+        best = fit(workspace.at(best.workspace.inflation).only(~away), best.effects)
     first, last = robot, robot.extended(best.effects)
     if nothing is not None:
         if held_out:
-            nothing = fit(workspace.at(nothing.workspace.temper).only(~away), [])
+            nothing = fit(workspace.at(nothing.workspace.inflation).only(~away), [])
         first, last = robot.extended(shifts(nothing)), last.extended(shifts(best))
     rows = (
         held_out_blocks(recording.time - recording.time[0], block)

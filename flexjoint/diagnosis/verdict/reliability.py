@@ -33,14 +33,14 @@ def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
     touched[_most_telling(best, k)] = True
     levels = best.workspace.levels(best.y)
     row = int(np.argmax(np.where(touched, levels, 0.0)))
-    return float(levels[row]), float(levels[row] / nothing.workspace.temper[row])
+    return float(levels[row]), float(levels[row] / nothing.workspace.inflation[row])
 
 
 def _most_telling(best: Fit, k: int) -> int:
     """The whitened balance in which effect k of a set leaves its largest mark: a friction of a motor may be
     lost in the noise of its spring, and known from the load of its link alone."""
     others = [e for i, e in enumerate(best.effects) if i != k]
-    mark = best.workspace.moved(others, best.effects).reshape(len(best.workspace.temper), -1)
+    mark = best.workspace.moved(others, best.effects).reshape(len(best.workspace.inflation), -1)
     return int(np.argmax(np.sum(mark**2, axis=1)))
 
 
@@ -50,9 +50,9 @@ def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
     limits = best.settings.verdict
     joint = best.effects[k].joint
     crowd = max(0, sum(e.joint == joint for e in best.effects) - limits.crowd)
-    strained = limits.belief_implausible if best.workspace.strain > 1.0 else 0.0
+    implausible = limits.belief_implausible if best.workspace.implausibility > 1.0 else 0.0
     decades = float(np.log10(max(1.0, left)))
-    against = limits.belief_per_decade * decades + strained + limits.belief_crowd * crowd - limits.belief
+    against = limits.belief_per_decade * decades + implausible + limits.belief_crowd * crowd - limits.belief
     least = limits.cleared_belief if share < limits.cleared_share else 0.0
     return max(least, float(1.0 / (1.0 + np.exp(against))))
 

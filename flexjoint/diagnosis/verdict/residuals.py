@@ -9,13 +9,13 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.signal import periodogram
 
-from flexjoint.diagnosis.regression.deviations import held
-from flexjoint.diagnosis.regression.fit import Fit, settled_numbers
+from flexjoint.diagnosis.regression.deviations import deviation_effects
+from flexjoint.diagnosis.regression.fit import Fit, nominal_deviations
 from flexjoint.diagnosis.result import ResidualView, Unexplained
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned, Site
 
-FINER = 4  # times the resolution of the record, to which a frequency is told
+FINER = 4  # times the resolution of the record, to which a frequency is resolved
 KNOTS = 8  # of the spline through which a residual is regressed on a signal
 
 
@@ -24,14 +24,14 @@ def residual_views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
     that are free in each recording, and what torques did between samples, are taken out of both."""
     workspace = best.workspace
     balances, used = workspace.balances, workspace.readings.valid
-    first, last = settled_numbers(nothing), settled_numbers(best)
-    offsets = [e for e in held(nothing.workspace, first) if e.effect.site is Site.SENSOR]
+    first, last = nominal_deviations(nothing), nominal_deviations(best)
+    offsets = [e for e in deviation_effects(nothing.workspace, first) if e.effect.site is Site.SENSOR]
 
     def series(effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
         return (balances.time_series(balances.residual(effects)) - workspace.jumped(numbers))[:, used]
 
     before = series([*workspace.nominal, *offsets], first)
-    after = series([*workspace.with_nominal(best.effects), *held(workspace, last)], last)
+    after = series([*workspace.with_nominal(best.effects), *deviation_effects(workspace, last)], last)
     noise = workspace.deviation
     out = []
     for row, old, new, expected in zip(balances.rows, before, after, noise, strict=True):
@@ -70,10 +70,10 @@ def unexplained_balances(best: Fit, residuals: tuple[ResidualView, ...]) -> tupl
     """Balances whose residual is beyond noise and beyond the robot's torque tolerance. Where nothing was
     found and only implausible nominal numbers would explain the error, the whole error is left over."""
     workspace = best.workspace
-    strained = not best.effects and workspace.strain > workspace.settings.robust_search.begins
+    implausible = not best.effects and workspace.implausibility > workspace.settings.robust_search.begins
     found = []
     for row, seen in zip(workspace.balances.rows, residuals, strict=True):
-        view = replace(seen, after=seen.before) if strained else seen
+        view = replace(seen, after=seen.before) if implausible else seen
         left, first = float(np.sqrt(np.mean(view.after**2))), float(np.sqrt(np.mean(view.before**2)))
         # a mean is what offset-free recordings leave; what varies counts
         floor = workspace.robot.tolerance.torque * float(workspace.torque_scale[row.joint])

@@ -68,5 +68,5 @@ def _step(check: Check[Looked], objection: Objection, before: Selection, after: 
 
 def notes(trace: Iterable[Step]) -> tuple[str, ...]:
     """What the checks of a trace did, as sentences for a reader."""
-    told = {check.name for check in EVERY if check.noted}
-    return tuple(step.text for step in trace if step.check in told)
+    noted = {check.name for check in EVERY if check.noted}
+    return tuple(step.text for step in trace if step.check in noted)

@@ -47,8 +47,8 @@ def ties(
         elif little and not _worse_throughout(best, rival):
             why = f"fits these data as well but for single moments (score {behind:+.1f})"
         if why:
-            told = f"{why}: with these sensors and this motion both leave the same trace"
-            out.append(Tie(other.effect.name, other.joint, told))
+            text = f"{why}: with these sensors and this motion both leave the same trace"
+            out.append(Tie(other.effect.name, other.joint, text))
     return tuple(out)
 
 

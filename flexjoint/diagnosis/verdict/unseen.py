@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances
-from flexjoint.diagnosis.regression.deviations import held
-from flexjoint.diagnosis.regression.fit import Fit, fit, settled_numbers
+from flexjoint.diagnosis.regression.deviations import deviation_effects
+from flexjoint.diagnosis.regression.fit import Fit, fit, nominal_deviations
 from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.result import Remaining, Removed
 from flexjoint.diagnosis.settings import VerdictSettings
@@ -56,15 +56,18 @@ def unseen(best: Fit, nothing: Fit) -> Unseen:
     blocks = held_out_blocks(time[0] + workspace.time, block)
     away = held_out_blocks(time, block)[workspace.readings.valid]
     if np.any(blocks) and not np.all(blocks):
-        workspace = workspace.at(workspace.temper).only(~blocks)
+        workspace = workspace.at(workspace.inflation).only(~blocks)
     else:
         away = np.arange(away.size) % 2 == 1  # too short for blocks
     fitted = fit(workspace, best.effects)
-    workspace, numbers = fitted.workspace, settled_numbers(fitted)
+    workspace, numbers = fitted.workspace, nominal_deviations(fitted)
     jumped = workspace.jumped(numbers)[:, workspace.readings.valid]
 
     def left(effects: Sequence[Planned]) -> np.ndarray:
-        return _of(workspace, [*workspace.with_nominal(effects), *held(workspace, numbers)]) - jumped
+        return (
+            _of(workspace, [*workspace.with_nominal(effects), *deviation_effects(workspace, numbers)])
+            - jumped
+        )
 
     without = [left([e for e in fitted.effects if e is not one]) for one in fitted.effects]
     return Unseen(best.workspace, away, _nominal(nothing), left(fitted.effects), tuple(without))
@@ -73,7 +76,9 @@ def unseen(best: Fit, nothing: Fit) -> Unseen:
 def _nominal(nothing: Fit) -> np.ndarray:
     """(rows, N) what the nominal model leaves. Encoder offsets, free in each recording, are no error."""
     workspace = nothing.workspace
-    offsets = [e for e in held(workspace, settled_numbers(nothing)) if e.effect.site is Site.SENSOR]
+    offsets = [
+        e for e in deviation_effects(workspace, nominal_deviations(nothing)) if e.effect.site is Site.SENSOR
+    ]
     return _of(workspace, [*workspace.nominal, *offsets])
 
 
@@ -134,11 +139,13 @@ def _noise(workspace: Workspace) -> list[float]:
     """RMS [N m] that the sensors' noise has in each joint's torque error."""
     balances, readings = workspace.balances, workspace.readings
     nominal = list(workspace.nominal)
-    loud, quiet = (b.time_series(b.residual(nominal))[:, readings.valid] for b in (balances, balances.quiet))
+    measured, denoised = (
+        b.time_series(b.residual(nominal))[:, readings.valid] for b in (balances, balances.denoised)
+    )
     smoothing = float(np.sqrt(np.mean(balances.filter.gain**2)))  # of a torque's white noise
     out = []
     for j in range(len(workspace.robot.joints)):
-        positions = _total(balances, loud - quiet, j)
+        positions = _total(balances, measured - denoised, j)
         moved = 0.0 if positions is None else float(np.std(positions))
         out.append(float(np.hypot(moved, smoothing * float(readings.noise["torque"][j]))))
     return out

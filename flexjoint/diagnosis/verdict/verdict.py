@@ -13,7 +13,7 @@ from flexjoint.diagnosis.regression.uncertainty import Errors, standard_errors
 from flexjoint.diagnosis.result import Finding, Fitted, Gain, Ranked, WithinTolerance
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
-    strained,
+    needs_implausible,
 )
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
@@ -41,7 +41,7 @@ def findings(
     for k, planned in enumerate(best.effects):
         listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
-        rivals = tuple(rival for rival in rivals if not strained(rival, best))
+        rivals = tuple(rival for rival in rivals if not needs_implausible(rival, best))
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
         left, share = left_by(best, selection.nothing, k)
         cleared = removed(data, k)

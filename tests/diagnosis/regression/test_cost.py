@@ -225,7 +225,7 @@ def test_products_are_those_of_weighted_columns() -> None:
     """Against the formula with all columns written out: Q(a, b) = a W b - a W J' (J W J' + 1)^-1 J W b."""
     here = workspace().at(np.array([1.0, 2.0, 3.0, 1.5, 1.0, 4.0]))
     a = np.random.default_rng(1).standard_normal((3, here.samples))
-    weights = np.repeat(1.0 / np.sqrt(here.temper), here.time.size)
+    weights = np.repeat(1.0 / np.sqrt(here.inflation), here.time.size)
     columns, rows = here.J * weights, a * weights
     inner = np.linalg.solve(columns @ columns.T + np.eye(len(columns)), columns @ rows.T)
     # two ways to add up some 7000 products

@@ -13,7 +13,7 @@ from support.diagnose_cases import Case, as_recording, found_in, nominal, summar
 from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.regression.deviations import held, judged_energy
+from flexjoint.diagnosis.regression.deviations import deviation_effects, judged_energy
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.result import Estimation, Finding, Fitted
@@ -25,7 +25,7 @@ from flexjoint.diagnosis.search.criteria import (
     degenerate,
     explained,
     score,
-    worthwhile,
+    supported,
 )
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.search.trials import date_onset, might_matter
@@ -61,10 +61,10 @@ def test_what_the_change_of_a_nominal_number_explains_is_counted_with_that_numbe
     damping = effect("spring_damping", "swing", scale=1.0)
     trial = fitted(Case("lever", "rich", 5, inexact=0.02), *CAUSES, assumed=(viscous, damping))
     without = fit(trial.workspace, trial.effects[:1])
-    earned = without.energy - trial.energy
+    gained = without.energy - trial.energy
 
-    assert 20.0 < earned < 500.0
-    assert explained(trial, without, trial.effects[1]) > 10.0 * earned
+    assert 20.0 < gained < 500.0
+    assert explained(trial, without, trial.effects[1]) > 10.0 * gained
     assert explained(trial, fit(trial.workspace, trial.effects[1:]), trial.effects[0]) > 1e5
 
 
@@ -98,7 +98,7 @@ def test_next_to_nothing_of_a_sample_beside_a_lag_is_no_delay(monkeypatch: pytes
 
     assert trial.effects[1].values["delay"] < 1e-4
     assert score(trial) < score(fit(trial.workspace, without.effects)) - 100.0
-    assert not worthwhile(trial, fit(trial.workspace, without.effects), trial.effects[1])
+    assert not supported(trial, fit(trial.workspace, without.effects), trial.effects[1])
 
 
 @thorough
@@ -163,7 +163,7 @@ def test_states_see_no_noise() -> None:
             Case("turret_exact", "slow", 5), Planted("spring_hysteresis", "turn", loop), assumed=()
         ).workspace
         if not with_twin:
-            workspace.balances.chains.calm = None
+            workspace.balances.chains.denoised = None
         left.append(workspace.energy(workspace.residual([effect])) - workspace.noise_energy)
 
     assert left[0] < 0.3 * left[1]
@@ -189,7 +189,7 @@ def test_a_nominal_number_is_a_cause_beyond_its_tolerance() -> None:
         right = fitted(
             Case("turret", "rich", 3), Planted("motor_viscous_friction", "turn", more), assumed=(guess,)
         )
-        assert worthwhile(right, fit(right.workspace, []), right.effects[0]) is named
+        assert supported(right, fit(right.workspace, []), right.effects[0]) is named
 
 
 def test_a_law_finer_than_the_sensors_see_is_a_simpler_one() -> None:
@@ -298,7 +298,9 @@ def test_numbers_that_no_machine_has_are_no_error() -> None:
     workspace = Workspace(balances_of(floating, recording))
     absurd = 1e4 * np.ones(len(workspace.nuisance))
 
-    assert all(np.isfinite(e.values["offset"]) for e in held(workspace, absurd) if "offset" in e.values)
+    assert all(
+        np.isfinite(e.values["offset"]) for e in deviation_effects(workspace, absurd) if "offset" in e.values
+    )
     assert np.isfinite(judged_energy(workspace, workspace.along(absurd), []))
 
 
@@ -318,7 +320,7 @@ def test_a_law_is_not_named_by_what_it_adds_to_a_simpler_one_that_is_absent() ->
 
 
 def test_of_many_joints_that_are_wrong_a_cause_clears_its_own() -> None:
-    workspace = SimpleNamespace(temper=np.full(9, 1000.0), strain=1.0)
+    workspace = SimpleNamespace(inflation=np.full(9, 1000.0), implausibility=1.0)
     wrong = SimpleNamespace(workspace=workspace, settings=USUAL)
     levels, own = np.full(9, 1000.0), np.arange(9) < 2
     levels[own] = 2.0

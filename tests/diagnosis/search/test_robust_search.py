@@ -90,13 +90,13 @@ def test_an_implausible_number_raises_the_level_of_its_own_joint_only() -> None:
     workspace = JointwiseWorkspace(balances, np.ones(len(balances.rows)))
     k = next(i for i, n in enumerate(workspace.nuisance) if n.name == "motor_inertia")
     off = 30.0 * workspace.J[k]  # thirty deviations: no tolerance stands for that
-    judged = workspace.tempered(workspace.whitened(workspace.nominal) + off)
+    judged = workspace.at_plausible_level(workspace.whitened(workspace.nominal) + off)
     own = np.array(
         [robot.joint_names[r.joint] == workspace.nuisance[k].joint for r in workspace.balances.rows]
     )
     motor = own & np.array([r.balance == "motor" for r in workspace.balances.rows])
-    assert judged.temper[motor].min() > 100.0 * judged.temper[~own].max()
-    assert judged.strain > 1.0
+    assert judged.inflation[motor].min() > 100.0 * judged.inflation[~own].max()
+    assert judged.implausibility > 1.0
 
 
 def test_what_two_joints_are_late_by_may_be_common_to_all() -> None:

@@ -94,8 +94,8 @@ def test_a_workspace_is_frozen() -> None:
         balances_of(nominal("lever"), as_recording(Machine("lever", "rich", 5).with_causes()))
     )
     before = workspace.gram.copy()
-    other = workspace.at(2.0 * workspace.temper)
+    other = workspace.at(2.0 * workspace.inflation)
     assert np.array_equal(workspace.gram, before) and not np.array_equal(other.gram, before)
     for one in (workspace, other, workspace.only(workspace.time > 1.0)):
         with pytest.raises(AttributeError, match="frozen"):
-            one.temper = 2.0 * one.temper
+            one.inflation = 2.0 * one.inflation

@@ -33,8 +33,8 @@ def test_a_name_is_believed_by_what_it_leaves() -> None:
     assert reliability(true, left, share) > 0.5
     assert reliability(other, other_left, other_share) < 0.2
     assert 0.2 < reliability(other, other_left, share) < 0.5  # so thorough a cause stays a cause
-    strained = replace(true, workspace=true.workspace.at(true.workspace.temper, 2.0))
-    assert reliability(strained, left, share) < reliability(true, left, share)
+    implausible = replace(true, workspace=true.workspace.at(true.workspace.inflation, 2.0))
+    assert reliability(implausible, left, share) < reliability(true, left, share)
     two, three = (replace(true, effects=count * true.effects) for count in (2, 3))
     assert reliability(two, left, share) == reliability(true, left, share)
     assert reliability(three, left, share) < 0.5  # something that has no name is more likely
