@@ -14,8 +14,8 @@ import numpy as np
 from flexjoint.core.errors import RecordingError, unknown
 from flexjoint.core.worker_pool import one_thread, workers_of
 from flexjoint.diagnosis.balances.balances import Balances, TwinBalances, balances_of
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
-from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.result import Diagnosis, Finding, Remaining, Step, Unexplained
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.history import steps_between
@@ -78,12 +78,12 @@ def diagnose(
     refusal, balances = _balanced(robots[0], recordings[0], settings)
     if refusal:
         return Diagnosis("refused", refusal, notes=cut, robot=robots[0].name, prismatic=robots[0].prismatic)
-    workspace = Workspace(balances)
-    candidates = enumerate_candidates(workspace, excluded)
-    first = _searched(workspace, candidates, task.part(0, len(recordings)))
+    problem = Problem(balances)
+    candidates = enumerate_candidates(problem, excluded)
+    first = _searched(problem, candidates, task.part(0, len(recordings)))
     case, spread, common = _combined(first, robots, recordings, task)
     task.report(0.92, "measuring the gain on held-out data")
-    case = reviewed(_simulated(case, robots[0], recordings[0], workspace), checks.SIMULATION)
+    case = reviewed(_simulated(case, robots[0], recordings[0], problem), checks.SIMULATION)
     case, robust = _searched_robustly(case, candidates, len(recordings), task)
     stated = reviewed(_stated(case, spread, refine, len(recordings), task), checks.FINDINGS)
     known = _known(recordings, payloads)
@@ -127,9 +127,9 @@ def _balanced(robot: Robot, recording: Recording, settings: Settings) -> tuple[s
     return _refusal(balances), balances
 
 
-def _searched(workspace: Workspace, candidates: Sequence[Candidate], task: _Task) -> Case:
+def _searched(problem: Problem, candidates: Sequence[Candidate], task: _Task) -> Case:
     """The set of causes that explains a recording by itself, as far as its balances support it."""
-    selection = select(workspace, candidates, task.report, workers=task.workers)
+    selection = select(problem, candidates, task.report, workers=task.workers)
     case = Case(selection, selection.trace)
     return reviewed(reviewed(case, checks.BALANCES), checks.NAMES)
 
@@ -145,9 +145,9 @@ def _combined(
         refusal, balances = _balanced(robots[k], recording, task.settings)
         if refusal:
             raise RecordingError(f"{recording.name} cannot be diagnosed together with the others: {refusal}")
-        workspace = Workspace(balances)
-        candidates = enumerate_candidates(workspace, task.excluded)
-        selections.append(_searched(workspace, candidates, task.part(k, len(recordings))).selection)
+        problem = Problem(balances)
+        candidates = enumerate_candidates(problem, task.excluded)
+        selections.append(_searched(problem, candidates, task.part(k, len(recordings))).selection)
     together = combine(selections)
     steps = steps_between(
         first.selection.best, together.selection.best, "recordings", "common set", "for all recordings"
@@ -155,9 +155,9 @@ def _combined(
     return Case(together.selection, (*first.trace, *steps)), together.errors, together.notes
 
 
-def _simulated(case: Case, robot: Robot, recording: Recording, workspace: Workspace) -> SimulatedCase:
-    measured = held_out.comparison(robot, recording, workspace, case.selection.best)
-    return SimulatedCase(case.selection, case.trace, robot, recording, workspace, measured)
+def _simulated(case: Case, robot: Robot, recording: Recording, problem: Problem) -> SimulatedCase:
+    measured = held_out.comparison(robot, recording, problem, case.selection.best)
+    return SimulatedCase(case.selection, case.trace, robot, recording, problem, measured)
 
 
 def _searched_robustly(
@@ -168,7 +168,7 @@ def _searched_robustly(
     if count > 1 or case.measured is None or not _undecided(case.selection):
         return case, ()
     report = _part(task.report, SEARCHED, 0.02)
-    again = search_robustly(case.robot, case.recording, case.workspace, case.selection, candidates, report)
+    again = search_robustly(case.robot, case.recording, case.problem, case.selection, candidates, report)
     if again is None:
         return case, ()
     why = "the simulation of the joint needs it"
@@ -176,11 +176,11 @@ def _searched_robustly(
         case.selection.best, again.selection.best, "robust search", "simulation of the joint", why
     )
     measured = held_out.comparison(
-        case.robot, case.recording, again.workspace, again.selection.best, case.measured
+        case.robot, case.recording, again.problem, again.selection.best, case.measured
     )
     found = replace(
         case,
-        workspace=again.workspace,
+        problem=again.problem,
         selection=again.selection,
         measured=measured,
         trace=(*case.trace, *steps),
@@ -197,7 +197,7 @@ def _stated(
         case.trace,
         case.robot,
         case.recording,
-        case.workspace,
+        case.problem,
         case.measured,
         kept=kept if refine else "no refinement was asked for",
         workers=task.workers,
@@ -235,8 +235,8 @@ def _diagnosis(
         explained=case.explained,
         notes=(*said, *case.notes, *verdict.not_believed(best)),
         energy=(
-            float(np.mean(selection.nothing.workspace.inflation)),
-            float(np.mean(best.workspace.inflation)),
+            float(np.mean(selection.nothing.problem.level.inflation)),
+            float(np.mean(best.problem.level.inflation)),
         ),
         estimation=estimation,
         trace=(*case.trace, *_kept(found)),
@@ -298,7 +298,7 @@ def _known(recordings: Sequence[Recording], payloads: Sequence[KnownPayload | No
 def _undecided(selection: Selection) -> bool:
     """Whether an error is left and only implausible nominal numbers would explain it."""
     best = selection.best
-    if best.workspace.implausibility <= best.settings.robust_search.begins:
+    if best.problem.level.implausibility <= best.settings.robust_search.begins:
         return False
     residuals = residual_views(best, selection.nothing)
     left = unexplained_balances(best, residuals)

@@ -21,7 +21,7 @@ from flexjoint.diagnosis.comparison.compare import compare
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.regression.deviations import judged_energy
 from flexjoint.diagnosis.regression.fit import fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Diagnosis, to_json
 from flexjoint.diagnosis.search.criteria import price
 from flexjoint.diagnosis.settings import USUAL
@@ -190,9 +190,9 @@ def test_less_of_everything_is_no_better(screw: Robot) -> None:
         effect("motor_viscous_friction", "slide", coefficient=-0.4 * 200.0),
         told.with_values({"level": 0.6 * COULOMB}),
     ]
-    workspace = Workspace(balances_of(screw, recorded(COULOMB, 0.0, disturbance=5.0)))
-    workspace = workspace.at_plausible_level(workspace.residual([told]))
-    all_of_it, of_less = (judged_energy(workspace, workspace.residual(e), e) for e in ([told], less))
+    problem = Problem(balances_of(screw, recorded(COULOMB, 0.0, disturbance=5.0)))
+    problem = problem.at(problem.plausible_level(problem.residual([told])))
+    all_of_it, of_less = (judged_energy(problem, problem.residual(e), e) for e in ([told], less))
     # 1.27 (what tolerances take on is counted along the nominal model's columns), and not 0.36
     assert all_of_it < of_less < 1.4 * all_of_it
 
@@ -208,9 +208,9 @@ def test_a_mass_on_a_linear_drive(sure: Robot) -> None:
 
 
 def test_where_a_payload_sits_that_only_moves_straight_costs_nothing(sure: Robot) -> None:
-    workspace = Workspace(balances_of(sure, recorded(0.0, 0.0, mass=MASS + 20.0)))
+    problem = Problem(balances_of(sure, recorded(0.0, 0.0, mass=MASS + 20.0)))
     load, inertia = (
-        fit(workspace, [Planned.of(name, "slide", {number: value})])
+        fit(problem, [Planned.of(name, "slide", {number: value})])
         for name, number, value in (("payload", "mass", 20.0), ("motor_coulomb_friction", "level", 1.0))
     )
     assert price(load) == price(inertia) == USUAL.search.price

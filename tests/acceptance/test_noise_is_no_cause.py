@@ -12,7 +12,7 @@ from support.diagnose_cases import SENSORS, Case, as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit, shifts
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.criteria import shown_by_motion
 from flexjoint.effects import Planned, effect
 from flexjoint.robot.robot import load
@@ -22,9 +22,9 @@ def test_a_friction_at_rest_takes_no_noise() -> None:
     """A friction of a hundred-thousandth of the joint's torque holds nothing: it must not seem to explain the
     noise of a healthy machine that often stands still (it took 190 when it held what was measured)."""
     case = Case("lever", "steps", 4, "noisy_feedback")
-    workspace = Workspace(balances_of(nominal(case.robot), as_recording(case.with_causes())))
+    problem = Problem(balances_of(nominal(case.robot), as_recording(case.with_causes())))
     tiny = effect("motor_coulomb_friction", "swing", level=1e-4)
-    nothing, rubbing = (workspace.energy(workspace.residual(extra)) for extra in ([], [tiny]))
+    nothing, rubbing = (problem.energy(problem.residual(extra)) for extra in ([], [tiny]))
 
     assert abs(nothing - rubbing) < 10.0  # less than any price
 
@@ -35,10 +35,10 @@ def test_a_friction_leaves_the_noise_whether_it_is_small_or_large(level: float) 
     makes a stop ring the small one left 1.43 times the noise on this slow joint."""
     friction = Planted("motor_coulomb_friction", "turn", {"level": level})
     recorded = Case("turret_exact", "slow", 3).with_causes(friction)
-    workspace = Workspace(balances_of(nominal("turret_exact"), as_recording(recorded)))
-    left = workspace.energy(workspace.residual([effect("motor_coulomb_friction", "turn", level=level)]))
+    problem = Problem(balances_of(nominal("turret_exact"), as_recording(recorded)))
+    left = problem.energy(problem.residual([effect("motor_coulomb_friction", "turn", level=level)]))
 
-    assert left < 1.2 * workspace.noise_energy  # 1.07 and 1.12
+    assert left < 1.2 * problem.noise_energy  # 1.07 and 1.12
 
 
 def test_deviations_are_taken_together_with_their_products() -> None:
@@ -51,11 +51,11 @@ def test_deviations_are_taken_together_with_their_products() -> None:
     ]
     recorded = plant(ROBOTS / "gimbal.yaml", offsets, "slow", 8.0, 3, SENSORS["full"], inexact=0.02)
     unknown = replace(known, file=known.file.model_copy(update={"offsets": "per_recording"}))
-    workspace = Workspace(balances_of(unknown, as_recording(recorded)))
-    nothing = fit(workspace, [])
-    held = workspace.whitened([*workspace.nominal, *shifts(nothing)])
+    problem = Problem(balances_of(unknown, as_recording(recorded)))
+    nothing = fit(problem, [])
+    held = problem.whitened([*problem.nominal, *shifts(nothing)])
 
-    assert float(held @ held) < 1.3 * workspace.noise_energy
+    assert float(held @ held) < 1.3 * problem.noise_energy
 
 
 UNSEEN_NOISE = replace(NO_COMMAND, noisy_feedback=False)  # what is recorded is not what the controller read
@@ -68,20 +68,20 @@ def test_a_torque_that_is_known_with_noise_is_no_error_of_the_model(sensors: Sen
     """Commands from noisy readings of which every second or fourth was recorded, and torques that were
     computed from readings which the controller did not see: the energy per sample was up to 1.6."""
     recorded = plant(ROBOTS / "gimbal_exact.yaml", [], "slow", 8.0, 3, sensors, rate)
-    workspace = Workspace(balances_of(nominal("gimbal_exact"), as_recording(recorded)))
+    problem = Problem(balances_of(nominal("gimbal_exact"), as_recording(recorded)))
 
-    assert workspace.energy(workspace.residual([])) < 1.1 * workspace.noise_energy
+    assert problem.energy(problem.residual([])) < 1.1 * problem.noise_energy
 
 
 def test_a_limit_that_clips_a_noisy_torque_explains_nothing() -> None:
     """A torque measured with noise has its largest values where noise was added: a limit takes that away."""
     sensors = replace(FULL, channels=("q", "theta", "tau_t", "tau_motor", "q_ref"))
     recorded = plant(ROBOTS / "gimbal_exact.yaml", [], "slow", 8.0, 3, sensors, 1000.0)
-    workspace = Workspace(balances_of(nominal("gimbal_exact"), as_recording(recorded)))
-    torque = workspace.readings.torque[2]
-    peak = float(abs(torque).max() - 2.0 * workspace.readings.noise["torque"][2])
-    nothing = workspace.energy(workspace.residual([]))
-    limited = workspace.energy(workspace.residual([effect("torque_saturation", "twist", limit=peak)]))
+    problem = Problem(balances_of(nominal("gimbal_exact"), as_recording(recorded)))
+    torque = problem.readings.torque[2]
+    peak = float(abs(torque).max() - 2.0 * problem.readings.noise["torque"][2])
+    nothing = problem.energy(problem.residual([]))
+    limited = problem.energy(problem.residual([effect("torque_saturation", "twist", limit=peak)]))
 
     assert nothing - limited < 5.0  # it seemed to explain 17
 
@@ -89,19 +89,19 @@ def test_a_limit_that_clips_a_noisy_torque_explains_nothing() -> None:
 def test_a_gap_of_the_encoders_noise_is_not_told_by_the_motion() -> None:
     """A joint that twists little: a gap narrower than the noise earns 58 from that noise alone."""
     case = Case("scara_exact", "slow", 6)
-    workspace = Workspace(balances_of(nominal(case.robot), as_recording(case.with_causes())))
-    noise = float(workspace.readings.noise["q"][1])
+    problem = Problem(balances_of(nominal(case.robot), as_recording(case.with_causes())))
+    noise = float(problem.readings.noise["q"][1])
     gap = effect("backlash", "mid_turn", gap=0.2 * noise)
-    loose = replace(fit(workspace, []), effects=(gap,), y=workspace.residual([gap]))
-    gained = workspace.energy(workspace.residual([])) - workspace.energy(loose.y)
+    loose = replace(fit(problem, []), effects=(gap,), y=problem.residual([gap]))
+    gained = problem.energy(problem.residual([])) - problem.energy(loose.y)
 
     assert gained > 20.0
     assert not shown_by_motion(loose, gained, gap)
 
 
-def rows_of(workspace: Workspace, y: np.ndarray) -> np.ndarray:
+def rows_of(problem: Problem, y: np.ndarray) -> np.ndarray:
     """(rows, samples) what the nominal numbers leave of a white residual."""
-    return workspace.rest(y).reshape(len(workspace.balances.rows), -1)
+    return problem.rest(y).reshape(len(problem.balances.rows), -1)
 
 
 @pytest.mark.parametrize("excitation", ["steps", "slow"])
@@ -112,8 +112,8 @@ def test_a_coarse_encoder_is_no_error_of_the_model(name: str, excitation: str) -
     quiet = {"q": 1e-6, "theta": 1e-6, "dq": 5e-3, "dtheta": 5e-3, "tau_t": 0.05}
     sensors = replace(FULL, noise=quiet, resolution=2.0 * np.pi / 2**14, noisy_feedback=False)
     recorded = plant(ROBOTS / f"{name}.yaml", [], excitation, 10.0, 3, sensors)
-    workspace = Workspace(balances_of(nominal(name), as_recording(recorded)))
-    left = np.mean(rows_of(workspace, workspace.residual([])) ** 2, axis=1)
+    problem = Problem(balances_of(nominal(name), as_recording(recorded)))
+    left = np.mean(rows_of(problem, problem.residual([])) ** 2, axis=1)
 
     assert np.all(left < 1.25)  # at most 1.16
 
@@ -127,8 +127,8 @@ def test_a_whitening_that_remembers_long_forgets_the_ends_of_the_record(name: st
     ends = []
     for seed in range(3):
         recorded = plant(ROBOTS / f"{name}.yaml", [], "slow", 8.0, seed, sensors, 1000.0)
-        workspace = Workspace(balances_of(nominal(name), as_recording(recorded)))
-        ends.append(rows_of(workspace, workspace.residual([]))[:, np.r_[:5, -5:0]])
+        problem = Problem(balances_of(nominal(name), as_recording(recorded)))
+        ends.append(rows_of(problem, problem.residual([]))[:, np.r_[:5, -5:0]])
 
     assert np.mean(np.square(ends)) < 1.5  # of 90 numbers: chance makes 0.15
 
@@ -142,8 +142,8 @@ def test_a_torque_made_of_a_noisy_angle_is_off_with_that_angle(name: str) -> Non
     shares = []
     for seed in (3, 4, 5):
         recorded = plant(ROBOTS / f"{name}.yaml", [], "slow", 10.0, seed, sensors, 250.0)
-        workspace = Workspace(balances_of(nominal(name), as_recording(recorded)))
-        motor = rows_of(workspace, workspace.residual([]))[0]
+        problem = Problem(balances_of(nominal(name), as_recording(recorded)))
+        motor = rows_of(problem, problem.residual([]))[0]
         power = np.abs(np.fft.rfft(motor)) ** 2 / motor.size
         shares.append(np.mean(power[: power.size // 4]))
 
@@ -159,10 +159,10 @@ def test_a_motor_that_friction_holds_is_held_against_what_its_torque_sensor_says
     case = make("drawn", number).case
     recording, robot = as_recording(case.train()), load(robot_file(case.robot))
     (friction,) = case.effects
-    workspace = Workspace(balances_of(robot, recording))
-    rubbing = fit(workspace, [Planned.of(friction.effect, friction.joint, friction.parameters)])
+    problem = Problem(balances_of(robot, recording))
+    rubbing = fit(problem, [Planned.of(friction.effect, friction.joint, friction.parameters)])
 
-    assert np.max(rubbing.workspace.levels(rubbing.y)) < most  # 4.9 and 14
+    assert np.max(rubbing.problem.variances(rubbing.y)) < most  # 4.9 and 14
     assert rubbing.effects[0].values["level_positive"] == pytest.approx(
         friction.parameters["level_positive"], rel=0.01
     )
@@ -175,10 +175,10 @@ def test_a_friction_that_holds_between_two_ways_leaves_the_noise(part: str, numb
     """At rest noise tells a speed's sign, by which a friction with two levels held by the wrong one; and
     between two ways a motor moved that stood, by what gave back its filter. They left 17, 18 and 108."""
     case = make(part, number).case
-    workspace = Workspace(balances_of(load(robot_file(case.robot)), as_recording(case.train())))
+    problem = Problem(balances_of(load(robot_file(case.robot)), as_recording(case.train())))
     true = [Planned.of(c.effect, c.joint, c.parameters, since=c.since) for c in case.effects]
 
-    assert fit(workspace, true).energy < most * workspace.noise_energy  # 1.8, 1.0 and 1.8
+    assert fit(problem, true).energy < most * problem.noise_energy  # 1.8, 1.0 and 1.8
 
 
 @pytest.mark.parametrize(("name", "joint", "level"), [("lever", "swing", 1.0), ("crane", "elbow", 0.5)])
@@ -192,8 +192,8 @@ def test_a_link_that_friction_holds_is_held_against_the_load_that_there_is(
     friction = Planted("link_coulomb_friction", joint, {"level": level})
     sensors = SENSORS["full"]
     recorded = plant(ROBOTS / f"{name}.yaml", [friction], excitation, 10.0, 4, sensors, inexact=0.02)
-    workspace = Workspace(balances_of(nominal(name), as_recording(recorded)))
-    rubbing = fit(workspace, [effect("link_coulomb_friction", joint, level=level)])
+    problem = Problem(balances_of(nominal(name), as_recording(recorded)))
+    rubbing = fit(problem, [effect("link_coulomb_friction", joint, level=level)])
 
-    assert rubbing.energy < 2.0 * workspace.noise_energy
+    assert rubbing.energy < 2.0 * problem.noise_energy
     assert rubbing.effects[0].values["level"] == pytest.approx(level, rel=0.01)

@@ -12,7 +12,7 @@ from support.diagnose_cases import SENSORS, as_recording, nominal, summary
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.regression.fit import fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.signals.signals import centred, prepare
 from flexjoint.effects import effect
 from flexjoint.recording.table import Recording
@@ -52,10 +52,10 @@ def test_a_stiffness_beside_unknown_offsets_leaves_the_noise(scale: float) -> No
     """The torque that an offset makes grows with the stiffness, so that each step towards the offset leaves
     that share of it: three steps left four times the noise of a spring 22 % stiffer."""
     robot, recording = lever("rich", Planted("spring_stiffness", "swing", {"scale": scale}))
-    workspace = Workspace(balances_of(robot, recording))
-    right = fit(workspace, [effect("spring_stiffness", "swing", scale=scale)])
+    problem = Problem(balances_of(robot, recording))
+    right = fit(problem, [effect("spring_stiffness", "swing", scale=scale)])
 
-    assert right.energy < 1.3 * workspace.noise_energy
+    assert right.energy < 1.3 * problem.noise_energy
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.effects import Planned, catalogue, effect, signal_order
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.table import make
@@ -33,9 +33,9 @@ def typical(name: str, since: float | None = None) -> Planned:
 
 
 @cache
-def workspace() -> Workspace:
+def problem() -> Problem:
     recorded = as_recording(CASE.with_causes(), CASE.name)
-    return Workspace(balances_of(nominal(CASE.robot), recorded))
+    return Problem(balances_of(nominal(CASE.robot), recorded))
 
 
 def simulated(effects: list[Planned]) -> dict[tuple[str, str], np.ndarray]:
@@ -63,17 +63,17 @@ def test_a_simulation_does_not_depend_on_the_order_of_its_effects(names: list[st
 def test_a_residual_does_not_depend_on_the_order_of_its_effects(names: list[str], seed: int) -> None:
     effects = [typical(name) for name in names]
     shuffled = [effects[k] for k in np.random.default_rng(seed).permutation(len(effects))]
-    balances = workspace().balances
+    balances = problem().balances
     np.testing.assert_array_equal(balances.residual(effects), balances.residual(shuffled))
     np.testing.assert_array_equal(
-        workspace()._residual(effects), workspace()._residual(shuffled), err_msg=str(names)
+        problem()._residual(effects), problem()._residual(shuffled), err_msg=str(names)
     )
 
 
 def test_gain_and_saturation_give_one_balance_in_either_order() -> None:
     """The two do not commute; the simulator limits what the gain has made of a command."""
     gain, limit = effect("torque_gain", JOINT, gain=0.5), effect("torque_saturation", JOINT, limit=2.0)
-    balances = workspace().balances
+    balances = problem().balances
     np.testing.assert_array_equal(balances.residual([gain, limit]), balances.residual([limit, gain]))
     only_limit = balances.residual([limit])
     assert np.max(np.abs(balances.residual([gain, limit]) - only_limit)) > 0.1  # [N m]: both are at work

@@ -17,8 +17,8 @@ from support.diagnose_cases import as_recording
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.refinement import refined
 from flexjoint.diagnosis.regression.fit import Fit, Slot, fit
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import standard_errors
-from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.result import Finding, Fitted
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.effects import Planned
@@ -44,9 +44,9 @@ def measured(case: StudyCase) -> tuple[list[Number], str]:
     """The numbers of a case, and why they were not refined (empty: they were)."""
     nominal = _nominal(case)
     recording = as_recording(replace(case.case, effects=(*case.case.effects, *case.hidden)).train())
-    workspace = Workspace(balances_of(nominal, recording))
+    problem = Problem(balances_of(nominal, recording))
     planned = [Planned.of(p.effect, p.joint, dict(p.parameters), since=p.since) for p in case.case.effects]
-    best = at_own_level(fit(workspace, planned))
+    best = at_own_level(fit(problem, planned))
     first = _findings(best)
     found, estimation = refined.refine(nominal, recording, best, first)
     out = []

@@ -30,7 +30,7 @@ from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.comparison.compare import compare
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.regression.fit import fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Diagnosis, Fitted
 from flexjoint.effects import Planned, catalogue
 from flexjoint.recording.noise import white_noise
@@ -153,8 +153,8 @@ def excess(nominal: Robot, recording: Recording) -> float | None:
     balances = balances_of(nominal, recording)
     if not balances.rows:
         return None
-    workspace = Workspace(balances)
-    return round(workspace.energy(workspace.residual([])) / workspace.noise_energy, 5)
+    problem = Problem(balances)
+    return round(problem.energy(problem.residual([])) / problem.noise_energy, 5)
 
 
 def least_excess(nominal: Robot, recording: Recording, causes: Sequence[Planted]) -> float | None:
@@ -163,11 +163,11 @@ def least_excess(nominal: Robot, recording: Recording, causes: Sequence[Planted]
     balances = balances_of(nominal, recording)
     if not balances.rows:
         return None
-    workspace = Workspace(balances)
+    problem = Problem(balances)
     true = [Planned.of(c.effect, c.joint, c.parameters, since=c.since) for c in causes]
-    whole = fit(workspace, true).energy
-    gains = [fit(workspace, [e for e in true if e is not one]).energy - whole for one in true]
-    return round(1.0 + min(gains) / workspace.noise_energy, 5)
+    whole = fit(problem, true).energy
+    gains = [fit(problem, [e for e in true if e is not one]).energy - whole for one in true]
+    return round(1.0 + min(gains) / problem.noise_energy, 5)
 
 
 def _on_fresh_data(

@@ -13,7 +13,7 @@ import numpy as np
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import Candidate, Trace, enumerate_candidates, traces
 from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel
@@ -85,8 +85,8 @@ class Evidence:
 
     def __init__(self, robot: Robot, recording: Recording) -> None:
         self.robot = robot
-        self.workspace = Workspace(balances_of(robot, recording))
-        self.candidates = enumerate_candidates(self.workspace)
+        self.problem = Problem(balances_of(robot, recording))
+        self.candidates = enumerate_candidates(self.problem)
 
     def odds(self, beside: Sequence[Planned], truth: Sequence[Planned], rival: Sequence[Key]) -> Odds:
         """For the truth against the best that the rival (its effects and joints) can do in its place, with
@@ -94,9 +94,9 @@ class Evidence:
         causes that both hypotheses share.
 
         The energy of a white residual is -2 log likelihood, up to a constant."""
-        own = fit(self.workspace, [*beside, *truth])
+        own = fit(self.problem, [*beside, *truth])
         # what filters and friction zones leave counts as noise
-        level = self.workspace.at_plausible_level(own.y)
+        level = self.problem.at(self.problem.plausible_level(own.y))
         own = fit(level, own.effects)
         others = list(own.effects[: len(beside)])
         best = fit(level, others)
@@ -114,7 +114,7 @@ class Evidence:
             spread[np.ix_(free, free)],
         )
 
-    def _starts(self, level: Workspace, others: list[Planned], rival: Sequence[Key]) -> list[list[Planned]]:
+    def _starts(self, level: Problem, others: list[Planned], rival: Sequence[Key]) -> list[list[Planned]]:
         """Where fits of the rival begin: the starts of its effects that remove most to first order."""
         if len(rival) > 1:  # one effect on several joints
             return [[c.planned(_trial(level, c, others)) for c in self._of(rival)]]
@@ -133,14 +133,14 @@ class Evidence:
     def shown(self) -> dict[Key, float]:
         """Every effect of the catalogue that the sensors could see, on every joint: energy that it leaves
         beyond the tolerances at a size that matters (`material`). Below DETECTABLE it is not excited."""
-        y = self.workspace.residual([])
+        y = self.problem.residual([])
         out: dict[Key, float] = {}
         for candidate in self.candidates:
             if candidate.effect.overrides("edit_inertial"):
                 continue  # its trace is fitted to a residual, and there is none
-            for trace in traces(self.workspace, candidate, self.workspace.nominal, y):
+            for trace in traces(self.problem, candidate, self.problem.nominal, y):
                 sizes = self._sizes(trace)
-                curvature = np.diag(self.workspace.product(trace.columns, trace.columns))
+                curvature = np.diag(self.problem.product(trace.columns, trace.columns))
                 seen = float(np.max(curvature * sizes**2))
                 out[candidate.key] = max(out.get(candidate.key, 0.0), seen)
         return out
@@ -188,7 +188,7 @@ def pair(first: Odds, second: Odds) -> float:
     return total + 0.5 * float(apart @ np.linalg.pinv(first.covariance + second.covariance) @ apart)
 
 
-def _solved(level: Workspace, trace: Trace, y: np.ndarray) -> tuple[np.ndarray, float]:
+def _solved(level: Problem, trace: Trace, y: np.ndarray) -> tuple[np.ndarray, float]:
     """Amplitudes of a trace's columns and the energy that they remove from y, to first order."""
     curvature, force = level.product(trace.columns, trace.columns), level.against(trace.columns, y)
     size = np.sqrt(np.maximum(np.diag(curvature), 1e-12))
@@ -199,7 +199,7 @@ def _solved(level: Workspace, trace: Trace, y: np.ndarray) -> tuple[np.ndarray, 
     return amplitude, float(-2.0 * amplitude @ force - amplitude @ curvature @ amplitude)
 
 
-def _trial(level: Workspace, candidate: Candidate, others: Sequence[Planned]) -> Mapping[str, object]:
+def _trial(level: Problem, candidate: Candidate, others: Sequence[Planned]) -> Mapping[str, object]:
     y = level.residual(others)
     found = [
         (_solved(level, trace, y), trace) for trace in traces(level, candidate, level.with_nominal(others), y)

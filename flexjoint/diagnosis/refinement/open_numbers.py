@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.diagnosis.regression.nuisance import NUMBERS, inertial_directions, tolerance_of
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.effects import Planned
 from flexjoint.model.parameters import DRIVE_KEYS, labels
 from flexjoint.robot.robot import Robot
@@ -24,7 +24,7 @@ class Number:
     direction: tuple[float, ...] = ()
 
 
-def open_numbers(robot: Robot, workspace: Workspace, offsets: Sequence[Planned]) -> list[Number]:
+def open_numbers(robot: Robot, problem: Problem, offsets: Sequence[Planned]) -> list[Number]:
     """The nominal numbers with a tolerance, as `nuisance.Columns` has them."""
     tolerance = robot.tolerance
     trust = {"K": tolerance.stiffness, "D": tolerance.damping, "B": tolerance.inertial}
@@ -35,29 +35,29 @@ def open_numbers(robot: Robot, workspace: Workspace, offsets: Sequence[Planned])
             value = getattr(joint.drive, symbol)
             if np.isfinite(value) and trust[symbol] * value > 0.0:
                 out.append(Number(f"drive.{joint.name}.{DRIVE_KEYS[symbol]}", trust[symbol] * value))
-    out += _inertial_numbers(robot, workspace)
+    out += _inertial_numbers(robot, problem)
     for e in robot.effects:
         spread = tolerance_of(e, robot)
         for param in e.effect.nulls:
             value = e.values.get(param.name)
             if param.size == 1 and value and np.isfinite(value) and spread > 0.0:
                 out.append(Number(labels(e, param.name, 1)[0], abs(value) * spread))
-    free = workspace.settings.regression.offset_deviation
+    free = problem.settings.regression.offset_deviation
     return out + [Number(labels(e, "offset", 1)[0], free) for e in offsets]
 
 
-def _inertial_numbers(robot: Robot, workspace: Workspace) -> list[Number]:
+def _inertial_numbers(robot: Robot, problem: Problem) -> list[Number]:
     """The links' inertial parameters within their tolerance: as many directions as the recording shows at
     all. Their prior is the same in all directions, so that any rotation of them will do."""
-    tolerance, other = robot.tolerance.inertial, workspace.settings.regression.other_component
-    places = [k for k, number in enumerate(workspace.nuisance) if number.name == "inertial"]
+    tolerance, other = robot.tolerance.inertial, problem.settings.regression.other_component
+    places = [k for k, number in enumerate(problem.nuisance) if number.name == "inertial"]
     if not places:
         return []
-    joints = [i for i, row in enumerate(workspace.motion.rigid.inertial) if row[0] > 0.0]
+    joints = [i for i, row in enumerate(problem.motion.rigid.inertial) if row[0] > 0.0]
     change = np.zeros((len(places), 10 * len(robot.joints)))
     for at, i in enumerate(joints):
-        directions = inertial_directions(workspace.motion.rigid.inertial[i], tolerance, other)
+        directions = inertial_directions(problem.motion.rigid.inertial[i], tolerance, other)
         change[10 * at : 10 * at + 10, 10 * i : 10 * i + 10] = directions
-    energy, axes = np.linalg.eigh(workspace.bare_gram[np.ix_(places, places)])
-    seen = np.flatnonzero(energy > workspace.settings.refinement.visible)
+    energy, axes = np.linalg.eigh(problem.bare_gram[np.ix_(places, places)])
+    seen = np.flatnonzero(energy > problem.settings.refinement.visible)
     return [Number("", 1.0, tuple(axes[:, k] @ change)) for k in seen[::-1]]

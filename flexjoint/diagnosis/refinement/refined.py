@@ -110,7 +110,7 @@ def _trial(robot: Robot, recording: Recording, best: Fit, seconds: float, worker
     trial: Refinement | None = None
     for disturbed in (False, True):
         shooting = Shooting(
-            robot, recording, best.workspace, best.effects, best.slots, seconds, disturbed, workers
+            robot, recording, best.problem, best.effects, best.slots, seconds, disturbed, workers
         )
         if len(shooting.windows) < limits.fewest_windows:
             return None

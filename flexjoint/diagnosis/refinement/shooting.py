@@ -22,7 +22,7 @@ from flexjoint.diagnosis.refinement.sensitivities import (
     link_load,
 )
 from flexjoint.diagnosis.regression.fit import Slot
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.effects import Planned, effect
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.parameters import labels
@@ -90,20 +90,20 @@ class Shooting:
         self,
         robot: Robot,
         recording: Recording,
-        workspace: Workspace,
+        problem: Problem,
         effects: Sequence[Planned],
         slots: Sequence[Slot],
         seconds: float,
         disturbed: bool = False,
         workers: int = 1,
     ) -> None:
-        self.workspace, self.seconds, self.workers = workspace, seconds, workers
+        self.problem, self.seconds, self.workers = problem, seconds, workers
         self.recording = recording = on_regular_clock(recording)
         self.begin = float(recording.time[0])
         self.rate = physics_rate(robot)
         self.steps = 2 * max(1, round(0.5 * seconds * self.rate))  # even: see `coarse`
         free_offsets = _offsets(robot, effects)
-        at_work = [*workspace.with_nominal(effects), *free_offsets]
+        at_work = [*problem.with_nominal(effects), *free_offsets]
         self.model = FlexibleJointModel(robot, at_work)
         self.estimator = StateEstimator(recording, self.model)
         self.phases = [time for time, _ in self.model.phases]
@@ -114,8 +114,8 @@ class Shooting:
             for time in self.phases
         ]
         self.parameters = self._symbolic[0].parameters
-        self.nominal = open_numbers(robot, workspace, free_offsets)
-        block = workspace.settings.refinement.torque_block
+        self.nominal = open_numbers(robot, problem, free_offsets)
+        block = problem.settings.refinement.torque_block
         self.blocks = max(1, round(seconds / block)) if disturbed else 0
         self.own = self.model.nx + len(robot.joints) * self.blocks  # unknowns of a window
         columns = self.own + len(slots) + len(self.nominal)
@@ -148,7 +148,7 @@ class Shooting:
     # --- windows -----------------------------------------------------------------------------------
     def _windows(self) -> list[Window]:
         """Abutting windows on samples whose surroundings were measured, each within one phase."""
-        readings, time = self.workspace.readings, self.recording.time
+        readings, time = self.problem.readings, self.recording.time
         good = np.interp(time, readings.time, readings.valid.astype(float)) > ALL_MEASURED
         length, out, k = self.steps / self.rate, [], 0
         while k < len(time):
@@ -168,8 +168,8 @@ class Shooting:
     def _measured_starts(self) -> tuple[np.ndarray, np.ndarray]:
         """(windows, nx) the measured states at the windows' starts, and (nx,) their prior deviations, which
         are nearly flat: the samples that told the state must not count twice."""
-        limits = self.workspace.settings.refinement
-        model, noise = self.model, self.workspace.readings.noise
+        limits = self.problem.settings.refinement
+        model, noise = self.model, self.problem.readings.noise
         length = self.steps / self.rate
         motion = self.estimator.at(np.array([w.start for w in self.windows]))
         rows = [self.estimator.state(motion, k) for k in range(len(self.windows))]
@@ -183,9 +183,9 @@ class Shooting:
         return starts, np.concatenate([q, v, moving, moving / length, z])
 
     def _noise(self, channel: str, joint: str) -> float:
-        i = self.workspace.robot.joint_names.index(joint)
+        i = self.problem.robot.joint_names.index(joint)
         spread = float(np.nanstd(self.recording.get(channel, joint)))
-        return max(float(self.workspace.readings.noise[channel][i]), 1e-7 * spread, 1e-12)
+        return max(float(self.problem.readings.noise[channel][i]), 1e-7 * spread, 1e-12)
 
     # --- numbers -----------------------------------------------------------------------------------
     def numbers(self, slots: np.ndarray, deviations: np.ndarray) -> np.ndarray:
@@ -246,7 +246,7 @@ class Shooting:
         starts: np.ndarray,
         steps: int,
     ) -> tuple[Inputs, Directions]:
-        robot, nx, n = self.workspace.robot, self.model.nx, len(self.model.joints)
+        robot, nx, n = self.problem.robot, self.model.nx, len(self.model.joints)
         begins = np.array([self.windows[k].start for k in part])
         late, late_by = self._delays.command(numbers)
         edges = np.linspace(0.0, self.steps / self.rate, steps + 1)
@@ -279,9 +279,9 @@ class Shooting:
     def _disturbances(self, steps: int) -> np.ndarray:
         """(steps, n, n blocks) one deviation of the mean motor torque over each block of a window, as the
         predicted noise of its samples has it."""
-        n, readings = len(self.model.joints), self.workspace.readings
+        n, readings = len(self.model.joints), self.problem.readings
         block = np.arange(steps) * self.blocks // steps
-        length = self.workspace.settings.refinement.torque_block
+        length = self.problem.settings.refinement.torque_block
         deviation = readings.noise["torque"] * np.sqrt(min(1.0, readings.period / length))
         out = np.zeros((steps, n, n * self.blocks))
         for i in range(n if self.blocks else 0):
@@ -289,7 +289,7 @@ class Shooting:
         return out
 
     def _torque(self, joint: str, edges: np.ndarray) -> np.ndarray:
-        control = self.workspace.robot.rates.control
+        control = self.problem.robot.rates.control
         return torque_over(self.recording, (joint,), edges, control)[:, 0]
 
     def _by_parameters(self) -> np.ndarray:
@@ -312,7 +312,7 @@ class Shooting:
                 change += deviation * np.array(number.direction)
         if not np.any(change):
             return np.zeros((*middle.shape, n))
-        readings, denoised = self.workspace.readings, self.workspace.balances.denoised.motion
+        readings, denoised = self.problem.readings, self.problem.balances.denoised.motion
         rows = np.round((middle - readings.time[0]) / readings.period).astype(int)
         torque = sum(denoised.rigid.regressor.torque(i, change[10 * i : 10 * i + 10]) for i in range(n))
         return -np.asarray(torque).T[np.clip(rows, 0, len(readings.time) - 1)]

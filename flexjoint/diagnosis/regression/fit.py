@@ -18,7 +18,7 @@ from flexjoint.diagnosis.regression.deviations import (
     relinearised,
 )
 from flexjoint.diagnosis.regression.nuisance import entangles
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.settings import RegressionSettings, Settings
 from flexjoint.effects import Parameter, Planned, Site
 
@@ -54,7 +54,7 @@ class Slot:
 class Fit:
     """A fitted set of effects (beyond the nominal model, or replacing its entries)."""
 
-    workspace: Workspace
+    problem: Problem
     effects: tuple[Planned, ...]
     judge: Callable[[], float]  # what evaluates `energy`
     y: np.ndarray  # (samples,) whitened residual
@@ -63,7 +63,7 @@ class Fit:
 
     @property
     def settings(self) -> Settings:
-        return self.workspace.settings
+        return self.problem.settings
 
     @cached_property
     def energy(self) -> float:
@@ -74,18 +74,18 @@ class Fit:
     @cached_property
     def furthest(self) -> float:
         """Prior deviations by which the furthest nominal number has to be off."""
-        return self.workspace.furthest(self.y)
+        return self.problem.furthest(self.y)
 
 
 def shifts(result: Fit) -> list[Planned]:
     """What the nominal numbers' own tolerances take on beside the fitted effects, as effects: where they are
     at work, as two small deviations also have a product (a spring's with its encoders' offsets)."""
-    return deviation_effects(result.workspace, nominal_deviations(result))
+    return deviation_effects(result.problem, nominal_deviations(result))
 
 
 def nominal_deviations(result: Fit) -> np.ndarray:
     """(numbers,) the same as deviations, of which `deviations.deviation_effects` makes those effects."""
-    return converged_deviations(result.workspace, result.effects, result.y)
+    return converged_deviations(result.problem, result.effects, result.y)
 
 
 def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
@@ -97,28 +97,28 @@ def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
     )
 
 
-def fit(workspace: Workspace, effects: Sequence[Planned], iterations: int = 12) -> Fit:
+def fit(problem: Problem, effects: Sequence[Planned], iterations: int = 12) -> Fit:
     """Fit all free numbers, starting from the given values; bounds are kept by clipping."""
-    workspace, slots = workspace.about(effects), slots_of(effects)
+    problem, slots = problem.about(effects), slots_of(effects)
     if not slots:
-        y = workspace.residual(effects)
-        judge = partial(_judged, workspace, y, tuple(effects), slots)
-        return Fit(workspace, tuple(effects), judge, y, np.zeros((0, y.size)), slots)
-    current, y, jacobian = _descend(workspace, list(effects), slots, iterations)
+        y = problem.residual(effects)
+        judge = partial(_judged, problem, y, tuple(effects), slots)
+        return Fit(problem, tuple(effects), judge, y, np.zeros((0, y.size)), slots)
+    current, y, jacobian = _descend(problem, list(effects), slots, iterations)
     if any(entangles(e) for e in effects):  # where a friction rests, how far a spring is turned, by its size
-        workspace = workspace.about(current)
-        bent = _bent(workspace, current, y)
-        current, y, jacobian = _descend(workspace, current, slots, iterations, bent)
-    judge = partial(_judged, workspace, y, tuple(current), slots)
-    return Fit(workspace, tuple(_wrap(current)), judge, y, jacobian, slots)
+        problem = problem.about(current)
+        bent = _bent(problem, current, y)
+        current, y, jacobian = _descend(problem, current, slots, iterations, bent)
+    judge = partial(_judged, problem, y, tuple(current), slots)
+    return Fit(problem, tuple(_wrap(current)), judge, y, jacobian, slots)
 
 
-def _bent(workspace: Workspace, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
+def _bent(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
     """What the residual y of effects lacks of one that knows when friction holds a body whose load or spring
     is off by what the nominal numbers' tolerances take on. Implausible numbers tell nothing of that."""
-    if workspace.implausibility > 1.0 or not any(e.effect.overrides("level") for e in effects):
+    if problem.level.implausibility > 1.0 or not any(e.effect.overrides("level") for e in effects):
         return 0.0
-    return relinearised(workspace, effects, y) - y
+    return relinearised(problem, effects, y) - y
 
 
 def evaluated(result: Fit) -> Fit:
@@ -127,12 +127,12 @@ def evaluated(result: Fit) -> Fit:
     return result
 
 
-def _judged(workspace: Workspace, y: np.ndarray, effects: Sequence[Planned], slots: Sequence[Slot]) -> float:
-    return judged_energy(workspace, y, effects) + _prior(workspace, slots, effects)
+def _judged(problem: Problem, y: np.ndarray, effects: Sequence[Planned], slots: Sequence[Slot]) -> float:
+    return judged_energy(problem, y, effects) + _prior(problem, slots, effects)
 
 
 def _descend(
-    workspace: Workspace,
+    problem: Problem,
     current: list[Planned],
     slots: Sequence[Slot],
     iterations: int,
@@ -140,12 +140,12 @@ def _descend(
 ) -> tuple[list[Planned], np.ndarray, np.ndarray]:
     """Values at the nearest minimum of the energy, the residual there and its derivatives; `bent` is added to
     all residuals."""
-    y = workspace.residual(current) + bent
-    energy = workspace.energy(y) + _prior(workspace, slots, current)
+    y = problem.residual(current) + bent
+    energy = problem.energy(y) + _prior(problem, slots, current)
     damping, taken = 1e-3, current  # where each column was taken
-    jacobian = jacobian_of(workspace, current, slots)
+    jacobian = jacobian_of(problem, current, slots)
     for _ in range(iterations):
-        normal, slope = normal_equations(workspace, jacobian, y, slots, current)
+        normal, slope = normal_equations(problem, jacobian, y, slots, current)
         enough, better, tried = CONVERGED + 1e-6 * energy, False, False
         while not better and damping < MOST_DAMPING:
             trial, promised = _step(current, slots, normal, slope, damping)
@@ -153,8 +153,8 @@ def _descend(
             if tried and promised is not None and promised < enough:
                 break
             tried = True
-            trial_y = workspace.residual(trial) + bent
-            trial_energy = workspace.energy(trial_y) + _prior(workspace, slots, trial)
+            trial_y = problem.residual(trial) + bent
+            trial_energy = problem.energy(trial_y) + _prior(problem, slots, trial)
             better = bool(np.isfinite(trial_energy)) and trial_energy < energy
             if not better:
                 damping *= 10.0
@@ -163,7 +163,7 @@ def _descend(
         gained = energy - trial_energy
         current, y, energy = trial, trial_y, trial_energy
         damping = max(damping * 0.1, 1e-9)
-        jacobian, taken = _followed(workspace, current, slots, jacobian, taken)
+        jacobian, taken = _followed(problem, current, slots, jacobian, taken)
         if gained < enough:
             break
     return current, y, jacobian
@@ -197,12 +197,12 @@ def _step(
     return trial, None if cut else float(-2.0 * slope @ moved - moved @ normal @ moved)
 
 
-def jacobian_of(workspace: Workspace, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:
+def jacobian_of(problem: Problem, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:
     """(slots, samples) derivatives of the residual."""
-    return np.array([_column(workspace, effects, slot) for slot in slots])
+    return np.array([_column(problem, effects, slot) for slot in slots])
 
 
-def _column(workspace: Workspace, effects: Sequence[Planned], slot: Slot) -> np.ndarray:
+def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndarray:
     """(samples,) derivative of the residual by one slot, remembered by the effects that it depends on: at
     another level it is the same."""
     around = _around(effects, effects[slot.effect])
@@ -210,14 +210,14 @@ def _column(workspace: Workspace, effects: Sequence[Planned], slot: Slot) -> np.
     own = replace(slot, effect=place)
 
     def derivative() -> np.ndarray:
-        here, step = own.get(around), step_of(workspace, own, around)
+        here, step = own.get(around), step_of(problem, own, around)
         if here + step > own.param.high:
             step = -step
         moved = list(around)
         own.put(moved, here + step)
-        return workspace.moved(around, moved) / step
+        return problem.moved(around, moved) / step
 
-    return workspace.remembered(f"by {place} {slot.param.name} {slot.component}", around, derivative)
+    return problem.remembered(f"by {place} {slot.param.name} {slot.component}", around, derivative)
 
 
 def _around(effects: Sequence[Planned], e: Planned) -> list[Planned]:
@@ -229,7 +229,7 @@ def _around(effects: Sequence[Planned], e: Planned) -> list[Planned]:
 
 
 def _followed(
-    workspace: Workspace,
+    problem: Problem,
     effects: Sequence[Planned],
     slots: Sequence[Slot],
     jacobian: np.ndarray,
@@ -241,7 +241,7 @@ def _followed(
     anew = [any(other.key in far for other in _around(effects, e)) for e in effects]
     at = [e if new else before for e, before, new in zip(effects, taken, anew, strict=True)]
     columns = [
-        _column(workspace, effects, slot) if anew[slot.effect] else row
+        _column(problem, effects, slot) if anew[slot.effect] else row
         for slot, row in zip(slots, jacobian, strict=True)
     ]
     return np.array(columns), at
@@ -256,7 +256,7 @@ def _near(e: Planned, before: Planned) -> bool:
     return True
 
 
-def step_of(workspace: Workspace, slot: Slot, effects: Sequence[Planned]) -> float:
+def step_of(problem: Problem, slot: Slot, effects: Sequence[Planned]) -> float:
     """Finite-difference step: relative to the value, but not below a size the data could ever show."""
     here = abs(slot.get(effects))
     floor = {"rad": 1e-6, "s": 1e-6, "m": 1e-3, "kg": 1e-4}.get(slot.param.unit, 1e-5)
@@ -264,22 +264,22 @@ def step_of(workspace: Workspace, slot: Slot, effects: Sequence[Planned]) -> flo
 
 
 def normal_equations(
-    workspace: Workspace,
+    problem: Problem,
     jacobian: np.ndarray,
     y: np.ndarray,
     slots: Sequence[Slot],
     effects: Sequence[Planned],
 ) -> tuple[np.ndarray, np.ndarray]:
-    normal, slope = workspace.normal(jacobian, y)
+    normal, slope = problem.normal(jacobian, y)
     for k, slot in enumerate(slots):
-        value, first = weak_prior(slot, effects, workspace.settings.regression)
+        value, first = weak_prior(slot, effects, problem.settings.regression)
         normal[k, k] += first**2
         slope[k] += first * value
     return normal, slope
 
 
-def _prior(workspace: Workspace, slots: Sequence[Slot], effects: Sequence[Planned]) -> float:
-    settings = workspace.settings.regression
+def _prior(problem: Problem, slots: Sequence[Slot], effects: Sequence[Planned]) -> float:
+    settings = problem.settings.regression
     return sum(weak_prior(slot, effects, settings)[0] ** 2 for slot in slots)
 
 
@@ -312,14 +312,14 @@ def covariance(result: Fit, blocks: np.ndarray) -> np.ndarray:
     """(slots, slots) covariance of the fitted numbers that holds when the residual is not white: bread from
     the curvature, meat from the scores of time blocks (White 1980; Newey and West 1987). `blocks` (samples,)
     numbers each sample's block. Never below what the predicted noise alone gives."""
-    k, workspace = len(result.slots), result.workspace
+    k, problem = len(result.slots), result.problem
     if k == 0:
         return np.zeros((0, 0))
-    normal, _ = normal_equations(workspace, result.tangents, result.y, result.slots, result.effects)
+    normal, _ = normal_equations(problem, result.tangents, result.y, result.slots, result.effects)
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     bread = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
-    projected = workspace.project(result.tangents) * workspace.weights
-    residual = workspace.rest(result.y) * workspace.weights
+    projected = problem.project(result.tangents) * problem.weights
+    residual = problem.rest(result.y) * problem.weights
     count = int(blocks.max()) + 1
     scores = np.stack([np.bincount(blocks, weights=row * residual, minlength=count) for row in projected])
     meat = scores @ scores.T * (count / max(1, count - k))

@@ -15,33 +15,31 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.diagnosis.regression.fit import Fit, normal_equations
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 
 
 class SharedNumbers:
     """The deviations d of some recordings. Encoder offsets that are free in each recording stay its own."""
 
-    def __init__(self, workspaces: Sequence[Workspace]) -> None:
-        self.workspaces = workspaces
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = problems
         keys: dict[object, int] = {}
         self.places = [
             np.array([keys.setdefault(key, len(keys)) for key in _keys(w, k)], dtype=int)
-            for k, w in enumerate(workspaces)
+            for k, w in enumerate(problems)
         ]
         self.size = len(keys)
         gram = np.eye(self.size)
-        for w, place in zip(workspaces, self.places, strict=True):
+        for w, place in zip(problems, self.places, strict=True):
             gram[np.ix_(place, place)] += w.gram - np.eye(len(place))
         self.factor = cho_factor(gram)
 
     def surplus(self, residuals: Sequence[np.ndarray]) -> float:
         """Energy of residuals (samples,), one a recording, above the sum of what each has with deviations of
-        its own (`Workspace.energy`)."""
-        pulls = [w.pull(y) for w, y in zip(self.workspaces, residuals, strict=True)]
+        its own (`Problem.energy`)."""
+        pulls = [w.pull(y) for w, y in zip(self.problems, residuals, strict=True)]
         pull = self._gathered(pulls)
-        own = sum(
-            float(g @ w.deviations(y)) for g, w, y in zip(pulls, self.workspaces, residuals, strict=True)
-        )
+        own = sum(float(g @ w.deviations(y)) for g, w, y in zip(pulls, self.problems, residuals, strict=True))
         return own - float(pull @ cho_solve(self.factor, pull))
 
     def solve(self, fits: Sequence[Fit], own: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +49,7 @@ class SharedNumbers:
         normal, wanted = np.zeros((slots, slots)), np.zeros(slots)
         across, pulls = np.zeros((slots, self.size)), []
         for fit, numbers, place in zip(fits, own, self.places, strict=True):
-            w = fit.workspace
+            w = fit.problem
             weighted = fit.tangents * w.squares
             at_zero = fit.y - numbers @ fit.tangents
             # without a trace, the weak priors of the numbers alone are left
@@ -73,12 +71,12 @@ class SharedNumbers:
         return out
 
 
-def _keys(workspace: Workspace, recording: int) -> list[object]:
+def _keys(problem: Problem, recording: int) -> list[object]:
     """What each nominal number is: equal in two recordings where it is the same number of the robot."""
-    floating = workspace.robot.file.offsets == "per_recording"
+    floating = problem.robot.file.offsets == "per_recording"
     seen: dict[object, int] = {}
     out: list[object] = []
-    for number in workspace.nuisance:
+    for number in problem.nuisance:
         name = (number.name, number.joint)
         seen[name] = seen.get(name, -1) + 1
         free = (floating and number.name.endswith("_encoder_offset")) or not number.of_the_robot

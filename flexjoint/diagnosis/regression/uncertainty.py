@@ -14,7 +14,7 @@ Errors = dict[str, list[float]]  # standard errors of the components of each par
 
 def number_covariance(best: Fit) -> np.ndarray:
     """(slots, slots) covariance of a fit's numbers, with scores of blocks of time."""
-    rows, time = len(best.workspace.balances.rows), best.workspace.time
+    rows, time = len(best.problem.balances.rows), best.problem.time
     blocks = np.tile(((time - time[0]) / best.settings.regression.time_block).astype(int), rows)
     return covariance(best, blocks)
 
@@ -39,7 +39,7 @@ def certainty(
 
 def _distance(best: Fit, planned: Planned, param: Parameter, spread: dict[str, list[float]]) -> float:
     """Distance of a number from its absence, in standard errors."""
-    listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
+    listed = next((e for e in best.problem.nominal if e.key == planned.key), None)
     value = np.ravel(planned.values[param.name])
     null = param.null if listed is None else np.ravel(listed.values[param.name])
     std = np.array(spread.get(param.name, [0.0]))

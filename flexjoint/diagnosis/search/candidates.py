@@ -12,8 +12,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, acts_within_a_joint
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.whitening import Band, Whitening
-from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Effect, Parameter, Planned, Site, catalogue
 
@@ -82,33 +82,33 @@ def _clip(param: Parameter, value: Any) -> Any:
     return float(np.clip(value, param.low, param.high))
 
 
-def enumerate_candidates(workspace: Workspace, excluded: frozenset[str] = frozenset()) -> list[Candidate]:
+def enumerate_candidates(problem: Problem, excluded: frozenset[str] = frozenset()) -> list[Candidate]:
     """All candidates that the sensors of this recording could show; `excluded` effects are left out."""
     out = []
     for effect in catalogue().values():
         if effect.name in excluded:
             continue
         choices = [[(w.name, c) for c in w.choices] for w in effect.words]
-        joints: Sequence[str | None] = [None] if effect.whole_robot else workspace.robot.joint_names
+        joints: Sequence[str | None] = [None] if effect.whole_robot else problem.robot.joint_names
         for joint in joints:
             for words in itertools.product(*choices):
                 candidate = Candidate(effect, joint, tuple(words))
-                if visible(workspace, candidate):
+                if visible(problem, candidate):
                     out.append(candidate)
     return out
 
 
-def visible(workspace: Workspace, candidate: Candidate) -> bool:
+def visible(problem: Problem, candidate: Candidate) -> bool:
     """Whether the effect acts on something that this recording balances or measures."""
     effect, joint = candidate.effect, candidate.joint
     if joint is None:
         return True
-    i = workspace.robot.joint_names.index(joint)
-    rigid = workspace.robot.joints[i].rigid
-    rows = {row.balance for row in workspace.balances.rows if row.joint == i}
+    i = problem.robot.joint_names.index(joint)
+    rigid = problem.robot.joints[i].rigid
+    rows = {row.balance for row in problem.balances.rows if row.joint == i}
     if effect.site is Site.SENSOR:
-        return _sensed(workspace, candidate, i, rows)
-    met = not workspace.readings.commanded[i] and _is_limit(effect)  # a measured torque has met all limits
+        return _sensed(problem, candidate, i, rows)
+    met = not problem.readings.commanded[i] and _is_limit(effect)  # a measured torque has met all limits
     shown = {
         Site.COMMAND: MOTOR in rows and not met,
         Site.MOTOR: MOTOR in rows,
@@ -125,13 +125,13 @@ def _is_limit(effect: Effect) -> bool:
     return any(p.null is not None and p.null > p.value for p in effect.nulls)
 
 
-def _sensed(workspace: Workspace, candidate: Candidate, i: int, rows: set[str]) -> bool:
+def _sensed(problem: Problem, candidate: Candidate, i: int, rows: set[str]) -> bool:
     readings = {
-        "q": bool(np.isfinite(workspace.readings.q[i, 0])),
-        "theta": bool(np.isfinite(workspace.readings.theta[i, 0])),
+        "q": bool(np.isfinite(problem.readings.q[i, 0])),
+        "theta": bool(np.isfinite(problem.readings.theta[i, 0])),
         "tau_t": SPRING in rows,
     }
-    if not _moves(workspace, i) and (
+    if not _moves(problem, i) and (
         candidate.effect.overrides("delay") or any(p.wraps for p in candidate.effect.params)
     ):
         return False
@@ -149,26 +149,24 @@ def may_replace(candidate: Candidate, e: Planned) -> bool:
     return candidate.joint in (e.joint, None) or candidate.effect.site is Site.BODY
 
 
-def _moves(workspace: Workspace, i: int) -> bool:
+def _moves(problem: Problem, i: int) -> bool:
     """Whether a joint's position changes by more than its sensors' noise."""
-    used, noise = workspace.readings.valid, workspace.readings.noise
+    used, noise = problem.readings.valid, problem.readings.noise
     return any(
-        float(np.ptp(signal[i][used])) > workspace.settings.balances.still * max(float(noise[name][i]), 1e-9)
-        for name, signal in (("q", workspace.motion.q), ("theta", workspace.motion.theta))
+        float(np.ptp(signal[i][used])) > problem.settings.balances.still * max(float(noise[name][i]), 1e-9)
+        for name, signal in (("q", problem.motion.q), ("theta", problem.motion.theta))
     )
 
 
-def traces(
-    workspace: Workspace, candidate: Candidate, base: Sequence[Planned], y: np.ndarray
-) -> Iterator[Trace]:
+def traces(problem: Problem, candidate: Candidate, base: Sequence[Planned], y: np.ndarray) -> Iterator[Trace]:
     """First-order traces of a candidate on top of `base`, whose whitened residual is y, one per start."""
     effect = candidate.effect
     if effect.site is Site.BODY and effect.overrides("edit_inertial"):
-        yield from load_traces(workspace, candidate, y)
+        yield from load_traces(problem, candidate, y)
         return
     listed = next((e for e in base if e.key == candidate.key), None)
     phase = [p.name for p in effect.params if p.wraps]
-    starts: Sequence[Mapping[str, Any]] = workspace.starts(effect, candidate.joint)
+    starts: Sequence[Mapping[str, Any]] = problem.starts(effect, candidate.joint)
     if listed is not None:
         starts = [{p.name: listed.values[p.name] for p in effect.params if p.null is None}]
     seen: set[tuple[tuple[str, Any], ...]] = set()
@@ -177,11 +175,11 @@ def traces(
         key = tuple(sorted(kept.items()))
         if key not in seen:
             seen.add(key)
-            yield _trace(workspace, candidate, base, kept, phase, listed)
+            yield _trace(problem, candidate, base, kept, phase, listed)
 
 
 def _trace(
-    workspace: Workspace,
+    problem: Problem,
     candidate: Candidate,
     base: Sequence[Planned],
     start: dict[str, Any],
@@ -196,17 +194,17 @@ def _trace(
     }
 
     # between two noises that are moved apart lies a smaller one, which is no trace of a delay
-    moved = workspace.denoised_moved_band if effect.overrides("delay") else workspace.moved_band
+    moved = problem.denoised_moved_band if effect.overrides("delay") else problem.moved_band
 
     def column(values: Mapping[str, Any]) -> Band:
         return moved(base, [*without, candidate.planned(values)])
 
-    white = workspace.whitening
+    white = problem.whitening
 
     if given:
         trial = {name: start[name] for name in given}
         return Trace(candidate, start, (column(start),), white, "whole", trial, origin)
-    trial = {p.name: trial_size(workspace, candidate, p) for p in effect.nulls if p.name not in phase}
+    trial = {p.name: trial_size(problem, candidate, p) for p in effect.nulls if p.name not in phase}
     if phase:
         bands = tuple(column({**start, **trial, phase[0]: a}) for a in (0.0, 0.5 * np.pi))
         return Trace(candidate, start, bands, white, "phase", trial, origin)
@@ -214,20 +212,20 @@ def _trace(
     return Trace(candidate, start, bands, white, "amplitudes", trial, origin)
 
 
-def trial_size(workspace: Workspace, candidate: Candidate, param: Parameter) -> float:
+def trial_size(problem: Problem, candidate: Candidate, param: Parameter) -> float:
     """A size at which the effect is well visible and still small: by the unit of its parameter."""
-    limits = workspace.settings.search
+    limits = problem.settings.search
     scale = 1.0
     if candidate.joint is not None:
-        i = workspace.robot.joint_names.index(candidate.joint)
-        scale = float(workspace.torque_scale[i])
-        signals = workspace.signals(candidate.joint)
+        i = problem.robot.joint_names.index(candidate.joint)
+        scale = float(problem.torque_scale[i])
+        signals = problem.signals(candidate.joint)
         travel, speed = float(np.std(signals.q)) + 1e-6, float(np.std(signals.dtheta)) + 1e-6
     else:
         travel = speed = 1.0
     stiff = 1.0
-    if candidate.joint is not None and np.isfinite(workspace.robot.joints[i].drive.K):
-        stiff = workspace.robot.joints[i].drive.K
+    if candidate.joint is not None and np.isfinite(problem.robot.joints[i].drive.K):
+        stiff = problem.robot.joints[i].drive.K
     by_unit = {
         "N m": limits.trial_share * scale,
         "N m s/rad": limits.trial_share * scale / speed,
@@ -242,24 +240,24 @@ def trial_size(workspace: Workspace, candidate: Candidate, param: Parameter) -> 
     return float(np.clip(by_unit.get(param.unit, param.value), param.low, param.high))
 
 
-def load_traces(workspace: Workspace, candidate: Candidate, y: np.ndarray) -> Iterator[Trace]:
+def load_traces(problem: Problem, candidate: Candidate, y: np.ndarray) -> Iterator[Trace]:
     """A change of a link's inertial parameters, as the whole recording shows it and as later parts do: the
     residual is linear in the ten of them, so that the effect's own few parameters are found on a quadratic
     form, without touching the signals again."""
     assert candidate.joint is not None
-    i = workspace.robot.joint_names.index(candidate.joint)
-    white, time = workspace.whitening, workspace.time
-    moments = np.stack([white.white(workspace.inertial_band(i, unit)) for unit in np.eye(10)])
-    own = float(workspace.motion.rigid.inertial[i, 0]) or 1.0
-    reach = float(np.linalg.norm(workspace.motion.rigid.inertial[i, 1:4])) / own
+    i = problem.robot.joint_names.index(candidate.joint)
+    white, time = problem.whitening, problem.time
+    moments = np.stack([white.white(problem.inertial_band(i, unit)) for unit in np.eye(10)])
+    own = float(problem.motion.rigid.inertial[i, 0]) or 1.0
+    reach = float(np.linalg.norm(problem.motion.rigid.inertial[i, 1:4])) / own
     amplitude, shape = _load_params(candidate.effect)
-    for share in workspace.settings.search.later:
+    for share in problem.settings.search.later:
         later = time >= time[0] + share * (time[-1] - time[0])
-        form = workspace.normal((moments * later).reshape(10, -1), y)
-        mass, *place = _load(candidate, *form, own, reach, workspace.settings.search)
+        form = problem.normal((moments * later).reshape(10, -1), y)
+        mass, *place = _load(candidate, *form, own, reach, problem.settings.search)
         mass = float(np.clip(mass, amplitude.low, amplitude.high))
         values = {amplitude.name: mass, shape.name: tuple(place)}
-        band = workspace.inertial_band(i, _inertial(candidate, np.array([mass, *place])))
+        band = problem.inertial_band(i, _inertial(candidate, np.array([mass, *place])))
         yield Trace(candidate, values, (band,), white, "whole", {amplitude.name: mass}, {amplitude.name: 0.0})
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from flexjoint.diagnosis.regression.fit import Fit, fit, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.effects import Kind, Parameter, Planned, Site
 
 LEVEL_ROUNDS = 5  # of fits at the level that they leave, at most, until
@@ -30,7 +30,7 @@ def price(result: Fit) -> float:
     )
     total = 0.0
     for k, e in enumerate(result.effects):
-        first = limits.price if own_number(result.workspace, e) is None else limits.price_nominal
+        first = limits.price if own_number(result.problem, e) is None else limits.price_nominal
         total += first + limits.price_number * max(0, numbers[k] + (e.since is not None) - 1)
     return total
 
@@ -38,33 +38,34 @@ def price(result: Fit) -> float:
 def score(result: Fit) -> float:
     """What is compared: energy plus price."""
     limits = result.settings.search
-    reconstructed = limits.price_reconstructed if result.workspace.motion.missing else 0.0
+    reconstructed = limits.price_reconstructed if result.problem.motion.missing else 0.0
     # of so many more candidates, chance favours one by so much more
-    chance = limits.price_candidates * float(np.log(len(result.workspace.robot.joints)))
+    chance = limits.price_candidates * float(np.log(len(result.problem.robot.joints)))
     return result.energy + price(result) + (reconstructed + chance) * len(result.effects)
 
 
 def unexplained_energy(result: Fit) -> float:
     """Energy that is still above the predicted noise."""
-    return max(0.0, result.energy - result.workspace.noise_energy)
+    return max(0.0, result.energy - result.problem.noise_energy)
 
 
 def at_own_level(result: Fit) -> Fit:
-    """The fit again, judged against the variance that it leaves itself."""
+    """The set fitted again at the noise level that it leaves itself."""
     for _ in range(LEVEL_ROUNDS):
-        workspace = result.workspace.at_plausible_level(result.y)
-        converged = np.all(np.abs(np.log(workspace.inflation / result.workspace.inflation)) < SAME_LEVEL)
-        result = fit(workspace, result.effects)
-        if converged:
+        last = result.problem
+        problem = last.at(last.plausible_level(result.y))
+        change = np.abs(np.log(problem.level.inflation / last.level.inflation))
+        result = fit(problem, result.effects)
+        if np.all(change < SAME_LEVEL):
             break
     return result
 
 
-def degenerate(workspace: Workspace, planned: Planned) -> bool:
+def degenerate(problem: Problem, planned: Planned) -> bool:
     """Whether a law has shrunk to none, or to a simpler one (a shape at its bound, or unseen), has a size
     that the data do not limit, or names a torque far beyond what its joint has and what it shows itself (a
     bump of friction below the speeds that the data resolve)."""
-    limits = workspace.settings.search
+    limits = problem.settings.search
     sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
     if all(np.all(np.ravel(size) == p.null) for size, p in sizes):
         return True
@@ -73,48 +74,48 @@ def degenerate(workspace: Workspace, planned: Planned) -> bool:
     if planned.joint is not None:
         named = [planned.values[p.name] for p in planned.effect.nulls if p.unit == "N m" and p.null == 0.0]
         largest = max((float(np.max(np.abs(torque))) for torque in named), default=0.0)
-        scale = float(workspace.torque_scale[workspace.robot.joint_names.index(planned.joint)])
+        scale = float(problem.torque_scale[problem.robot.joint_names.index(planned.joint)])
         if largest > limits.boundless * scale or (
-            largest > scale and largest > limits.boundless * shown(workspace, planned)
+            largest > scale and largest > limits.boundless * shown(problem, planned)
         ):
             return True
     shapes = [p for p in planned.effect.params if p.null is None and p.size == 1 and not p.wraps]
     return any(
         np.isclose(planned.values[p.name], (p.low, p.high), rtol=limits.at_bound, atol=0.0).any()
         for p in shapes
-    ) or _unseen(workspace, planned, shapes)
+    ) or _unseen(problem, planned, shapes)
 
 
-def _unseen(workspace: Workspace, planned: Planned, shapes: Sequence[Parameter]) -> bool:
+def _unseen(problem: Problem, planned: Planned, shapes: Sequence[Parameter]) -> bool:
     """Whether a law has a length (a scale or width, not a place) below the noise of its joint's positions, or
     sets in and has nothing above it: a shift so small is a drift of whatever the model holds. Nor is a change
     of the deflection seen below the step of an encoder that little noise blurs; a ripple is, which returns
     while the encoder takes many."""
     if planned.joint is None:
         return False
-    readings, k = workspace.readings, workspace.robot.joint_names.index(planned.joint)
+    readings, k = problem.readings, problem.robot.joint_names.index(planned.joint)
     finest = max(float(readings.noise["q"][k]), float(readings.noise["theta"][k]))
     if any(p.unit == "rad" and p.low > 0.0 and planned.values[p.name] < finest for p in shapes):
         return True
     if planned.since is None:
         shape = planned.effect.site is Site.DEFLECTION and not any(p.wraps for p in planned.effect.params)
-        finest = _coarsest_step(workspace, k) if shape else 0.0
+        finest = _coarsest_step(problem, k) if shape else 0.0
     sizes = planned.effect.nulls
     return bool(sizes) and all(p.unit == "rad" and abs(planned.values[p.name]) < finest for p in sizes)
 
 
-def _coarsest_step(workspace: Workspace, k: int) -> float:
+def _coarsest_step(problem: Problem, k: int) -> float:
     """[rad] of joint k's encoders whose rounding is not white noise; 0 where there is none."""
-    at = {"q": k, "theta": len(workspace.robot.joints) + k}
-    steps = workspace.readings.steps
-    return max((float(steps[c][k]) for c, i in at.items() if i in workspace.balances.colours), default=0.0)
+    at = {"q": k, "theta": len(problem.robot.joints) + k}
+    steps = problem.readings.steps
+    return max((float(steps[c][k]) for c, i in at.items() if i in problem.balances.colours), default=0.0)
 
 
-def shown(workspace: Workspace, planned: Planned) -> float:
+def shown(problem: Problem, planned: Planned) -> float:
     """[N m] the largest torque that an effect makes of any balance."""
-    balances, used = workspace.balances, workspace.readings.valid
-    base = workspace.with_nominal([])
-    change = balances.changed(base, workspace.with_nominal([planned]))
+    balances, used = problem.balances, problem.readings.valid
+    base = problem.with_nominal([])
+    change = balances.changed(base, problem.with_nominal([planned]))
     torques = [np.max(np.abs(balances.time_series(spectrum)[used])) for spectrum in change.values()]
     return float(max(torques, default=0.0))
 
@@ -131,7 +132,7 @@ def supported(trial: Fit, without: Fit, added: Planned) -> bool:
 
 
 def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
-    if degenerate(trial.workspace, added) or score(trial) >= score(without):
+    if degenerate(trial.problem, added) or score(trial) >= score(without):
         return False
     if shared_by_tolerances(trial, without, added) or _between_samples(trial, added):
         return False
@@ -143,7 +144,7 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
     if beside:
         # what other causes on the joint explain is known only to the method's own error, which has a shape
         # of its own: what leaves next to nothing is not that
-        alone = fit(trial.workspace, [e for e in trial.effects if e not in beside])
+        alone = fit(trial.problem, [e for e in trial.effects if e not in beside])
         if gained < _method_error(trial, gained) * (alone.energy - trial.energy):
             return False
     if contradicted(trial, without):
@@ -161,7 +162,7 @@ def _between_samples(trial: Fit, added: Planned) -> bool:
     ):
         return False
     longest = max(abs(added.values[p.name]) for p in added.effect.params if p.unit == "s")
-    return bool(longest < trial.settings.search.between_samples * trial.workspace.readings.period)
+    return bool(longest < trial.settings.search.between_samples * trial.problem.readings.period)
 
 
 def needs_implausible(trial: Fit, other: Fit) -> bool:
@@ -176,18 +177,19 @@ def only_by_implausible(trial: Fit, without: Fit) -> bool:
     left does not pull them so far."""
     if trial.furthest <= trial.settings.regression.implausible:
         return False
-    if not needs_implausible(trial, fit(trial.workspace, without.effects)):
+    if not needs_implausible(trial, fit(trial.problem, without.effects)):
         return False
     there, other = (fit(raised_until_plausible(trial), f.effects) for f in (trial, without))
     return score(there) >= score(other)
 
 
-def raised_until_plausible(result: Fit) -> Workspace:
+def raised_until_plausible(result: Fit) -> Problem:
     """The lowest level at which a fit's leftovers do not pull nominal numbers further than machines' are."""
-    workspace = result.workspace
-    while workspace.furthest(result.y) > result.settings.regression.plausible:
-        workspace = workspace.at(2.0 * workspace.inflation, workspace.implausibility)
-    return workspace
+    problem = result.problem
+    while problem.furthest(result.y) > result.settings.regression.plausible:
+        level = problem.level
+        problem = problem.at(NoiseLevel(2.0 * level.inflation, level.implausibility))
+    return problem
 
 
 def _sharing_balances(trial: Fit, added: Planned) -> list[Planned]:
@@ -195,7 +197,7 @@ def _sharing_balances(trial: Fit, added: Planned) -> list[Planned]:
     others = [e for e in trial.effects if e is not added and e.joint == added.joint]
     if not others:
         return []
-    touched = {e.key: torque_shares(trial.workspace, trial.effects, k) > 0.0
+    touched = {e.key: torque_shares(trial.problem, trial.effects, k) > 0.0
                for k, e in enumerate(trial.effects) if e is added or e in others}  # fmt: skip
     return [e for e in others if np.any(touched[e.key] & touched[added.key])]
 
@@ -204,9 +206,9 @@ def _method_error(trial: Fit, gained: float) -> float:
     """Share of what other causes on its joint explain, that a cause must explain beyond it."""
     limits = trial.settings.search
     left = unexplained_energy(trial)
-    if trial.workspace.motion.missing or gained < limits.cleared * left:
+    if trial.problem.motion.missing or gained < limits.cleared * left:
         return limits.method_error
-    noise_alone = bool(np.all(trial.workspace.inflation < trial.settings.regression.noise_decides))
+    noise_alone = bool(np.all(trial.problem.level.inflation < trial.settings.regression.noise_decides))
     perfect = noise_alone and gained >= limits.beyond_noise + limits.perfect * left
     return limits.least_method_error if perfect else limits.finer_method_error
 
@@ -215,24 +217,24 @@ def contradicted(trial: Fit, without: Fit) -> bool:
     """Whether what a set of effects explains beyond another leaves ten times more in a balance, beyond
     noise: a spring's torque does not explain what its motor shows where its link does not show it. A gain
     that a nominal number had hidden leaves more only until that number is corrected, too."""
-    plain = _worse(trial.workspace, without.effects, trial.effects)
+    plain = _worse(trial.problem, without.effects, trial.effects)
     return plain and _worse(
-        trial.workspace, [*without.effects, *shifts(without)], [*trial.effects, *shifts(trial)]
+        trial.problem, [*without.effects, *shifts(without)], [*trial.effects, *shifts(trial)]
     )
 
 
-def _worse(workspace: Workspace, effects: Sequence[Planned], others: Sequence[Planned]) -> bool:
+def _worse(problem: Problem, effects: Sequence[Planned], others: Sequence[Planned]) -> bool:
     """Whether a set of effects leaves ten times less than others in a balance, beyond noise."""
-    balances, used = workspace.balances, workspace.readings.valid
-    one, other = workspace.with_nominal(effects), workspace.with_nominal(others)
+    balances, used = problem.balances, problem.readings.valid
+    one, other = problem.with_nominal(effects), problem.with_nominal(others)
     change = balances.changed(one, other)
     if not change:
         return False
     before = balances.residual(one)
     for r, moved in change.items():
         error, left = balances.time_series(np.array([before[r], before[r] + moved]))[:, used]
-        was = max(float(np.mean(error**2)), float(workspace.deviation[r]) ** 2)
-        if np.mean(left**2) > workspace.settings.search.cleared * was:
+        was = max(float(np.mean(error**2)), float(problem.deviation[r]) ** 2)
+        if np.mean(left**2) > problem.settings.search.cleared * was:
             return True
     return False
 
@@ -240,12 +242,12 @@ def _worse(workspace: Workspace, effects: Sequence[Planned], others: Sequence[Pl
 def explained(trial: Fit, without: Fit, added: Planned) -> float:
     """Energy that `added`, present in `trial`, explains. If it is the change of a nominal number, that number
     is held at its nominal value: far from it, it would explain the same at the price of its deviation."""
-    gained, workspace = without.energy - trial.energy, trial.workspace
-    k = own_number(workspace, added)
+    gained, problem = without.energy - trial.energy, trial.problem
+    k = own_number(problem, added)
     if k is not None:
-        error = workspace.deviation_errors()[k]
+        error = problem.deviation_errors()[k]
         # holding a number raises a least-squares energy by the square of its deviation in standard errors
-        free, left = ((workspace.deviations(y)[k] / error) ** 2 for y in (without.y, trial.y))
+        free, left = ((problem.deviations(y)[k] / error) ** 2 for y in (without.y, trial.y))
         gained += float(free - left)
     return gained
 
@@ -256,29 +258,29 @@ def shown_by_motion(trial: Fit, gained: float, added: Planned) -> bool:
     does along the denoised recording. One that shifts signals in time moves their noise n against the other
     sensors' noise m: that changes the energy by chance, by 2 m dn. So does a lag, which makes it smaller."""
     limits = trial.settings.search
-    workspace = trial.workspace
+    problem = trial.problem
     if (
         gained >= limits.beyond_noise
-        or np.max(workspace.inflation) >= workspace.settings.regression.noise_decides
+        or np.max(problem.level.inflation) >= problem.settings.regression.noise_decides
     ):
         return True
     others = [e for e in trial.effects if e is not added]
-    before = workspace.residual(others)
-    moved = workspace.whitening.white(workspace.denoised_moved_band(others, trial.effects)).ravel()
-    denoised, measured = (workspace.energy(before) - workspace.energy(y) for y in (before + moved, trial.y))
+    before = problem.residual(others)
+    moved = problem.whitening.white(problem.denoised_moved_band(others, trial.effects)).ravel()
+    denoised, measured = (problem.energy(before) - problem.energy(y) for y in (before + moved, trial.y))
     if added.effect.kind is Kind.TIMING:
-        moved_noise = _moved_noise(workspace, others, trial.effects)
+        moved_noise = _moved_noise(problem, others, trial.effects)
         if gained < limits.moved_noise * moved_noise:
             return False
     return denoised >= limits.denoised_share * measured
 
 
-def _moved_noise(workspace: Workspace, effects: Sequence[Planned], others: Sequence[Planned]) -> float:
+def _moved_noise(problem: Problem, effects: Sequence[Planned], others: Sequence[Planned]) -> float:
     """Root of the energy that the sensors' noise gets where it is moved by other effects."""
-    before, after = workspace.with_nominal(effects), workspace.with_nominal(others)
-    measured, denoised = (b.changed(before, after) for b in (workspace.balances, workspace.balances.denoised))
+    before, after = problem.with_nominal(effects), problem.with_nominal(others)
+    measured, denoised = (b.changed(before, after) for b in (problem.balances, problem.balances.denoised))
     noise = {row: spectrum - denoised[row] for row, spectrum in measured.items() if row in denoised}
-    white = workspace.whitening.white(workspace.whitening.band(noise)).ravel()
+    white = problem.whitening.white(problem.whitening.band(noise)).ravel()
     return float(np.sqrt(np.sum(white**2)))
 
 
@@ -287,49 +289,47 @@ def material(trial: Fit, added: Planned, gained: float) -> bool:
     stands for errors of the model; where noise alone is left there are none, and next to none where the
     effect clears the balances that it touches: smaller effects count there that are beyond doubt."""
     limits = trial.settings.search
-    if tolerated(trial.workspace, added):
+    if tolerated(trial.problem, added):
         return False
-    shares = torque_shares(trial.workspace, trial.effects, trial.effects.index(added))
-    tolerance = trial.workspace.robot.tolerance.torque
+    shares = torque_shares(trial.problem, trial.effects, trial.effects.index(added))
+    tolerance = trial.problem.robot.tolerance.torque
     uncertain = gained < (limits.certain if added.since is None else limits.certain_dated)
     if np.max(shares) >= tolerance or np.max(shares) < limits.negligible * tolerance or uncertain:
         return bool(np.max(shares) >= tolerance)
     touched = shares > 0.0
-    left = at_own_level(trial).workspace.inflation[touched]
+    left = at_own_level(trial).problem.level.inflation[touched]
     if np.all(left < trial.settings.regression.noise_decides):
         return True
     others = [e for e in trial.effects if e is not added]
-    before = at_own_level(fit(trial.workspace, others)).workspace.inflation[touched]
+    before = at_own_level(fit(trial.problem, others)).problem.level.inflation[touched]
     wrong = before > limits.wrong
     return bool(np.any(wrong) and np.mean(np.log(before[wrong] / left[wrong])) >= np.log(limits.cleared))
 
 
-def tolerated(workspace: Workspace, added: Planned) -> bool:
+def tolerated(problem: Problem, added: Planned) -> bool:
     """Whether an effect is a nominal number that is off by no more than its tolerance claims."""
-    k = own_number(workspace, added)
+    k = own_number(problem, added)
     if k is None:
         return False
-    number, (param,) = workspace.nuisance[k], added.effect.nulls
-    damping = workspace.robot.joint(str(number.joint)).drive.D_m if number.name == "motor_damping" else 1.0
-    return bool(
-        abs(added.values[param.name]) <= workspace.settings.search.tolerated * number.spread * damping
-    )
+    number, (param,) = problem.nuisance[k], added.effect.nulls
+    damping = problem.robot.joint(str(number.joint)).drive.D_m if number.name == "motor_damping" else 1.0
+    return bool(abs(added.values[param.name]) <= problem.settings.search.tolerated * number.spread * damping)
 
 
 def shared_by_tolerances(trial: Fit, without: Fit, added: Planned) -> bool:
     """Whether an effect is the change of a nominal number that need not be off by more than its tolerance
     claims, as others are off, too. Where more than noise is left, deviations say less than they are."""
-    k = own_number(trial.workspace, added)
-    if k is None or np.max(trial.workspace.inflation) >= trial.settings.regression.noise_decides:
+    k = own_number(trial.problem, added)
+    if k is None or np.max(trial.problem.level.inflation) >= trial.settings.regression.noise_decides:
         return False
-    return bool(abs(trial.workspace.deviations(without.y)[k]) <= trial.settings.search.tolerated)
+    return bool(abs(trial.problem.deviations(without.y)[k]) <= trial.settings.search.tolerated)
 
 
-def own_number(workspace: Workspace, added: Planned) -> int | None:
+def own_number(problem: Problem, added: Planned) -> int | None:
     """The index of the nominal number of which an effect, at work all the time, is the change."""
     if added.since is not None:
         return None
-    for k, number in enumerate(workspace.nuisance):
+    for k, number in enumerate(problem.nuisance):
         name = "motor_viscous_friction" if number.name == "motor_damping" else number.name
         nominal = number.name in NUMBERS or number.name.endswith("_encoder_offset")
         if nominal and number.spread > 0.0 and (name, number.joint) == added.key:
@@ -337,14 +337,14 @@ def own_number(workspace: Workspace, added: Planned) -> int | None:
     return None
 
 
-def torque_shares(workspace: Workspace, effects: Sequence[Planned], index: int) -> np.ndarray:
+def torque_shares(problem: Problem, effects: Sequence[Planned], index: int) -> np.ndarray:
     """(rows,) RMS torque of an effect in each balance, as a share of that joint's torque."""
     without = [e for k, e in enumerate(effects) if k != index]
-    balances, used = workspace.balances, workspace.readings.valid
-    change = balances.change(workspace.with_nominal(without), workspace.with_nominal(effects))
+    balances, used = problem.balances, problem.readings.valid
+    change = balances.change(problem.with_nominal(without), problem.with_nominal(effects))
     shares = np.zeros(len(balances.rows))
     for r, (row, spectrum) in enumerate(zip(balances.rows, change, strict=True)):
         if np.any(spectrum):
             torque = balances.time_series(spectrum)[used]
-            shares[r] = np.sqrt(np.mean(torque**2)) / workspace.torque_scale[row.joint]
+            shares[r] = np.sqrt(np.mean(torque**2)) / problem.torque_scale[row.joint]
     return shares

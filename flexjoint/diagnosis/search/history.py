@@ -16,8 +16,8 @@ def steps_between(before: Fit, after: Fit, stage: str, check: str, why: str) -> 
     if not gone and not new:
         return ()
     # the two may be of differently whitened recordings, which keep other samples
-    there = after.workspace.residual(before.effects)
-    gained = after.workspace.energy(there) - after.workspace.energy(after.y)
+    there = after.problem.residual(before.effects)
+    gained = after.problem.energy(there) - after.problem.energy(after.y)
     out = []
     for one in gone:
         heir = next((e for e in after.effects if _contains(e, one)), None)

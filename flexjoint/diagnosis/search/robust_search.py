@@ -25,7 +25,7 @@ from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
 from flexjoint.diagnosis.balances.motion import reconstruct
 from flexjoint.diagnosis.comparison.compare import HORIZON, compare
 from flexjoint.diagnosis.regression.fit import Fit, fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, supported
 from flexjoint.diagnosis.search.scan import Scanner
@@ -39,8 +39,8 @@ from flexjoint.robot.robot import Robot
 Progress = Callable[[float, str], None]
 
 
-class JointwiseWorkspace(Workspace):
-    """A workspace in which implausible nominal numbers raise the level of their own joint's balances only."""
+class JointwiseProblem(Problem):
+    """A problem in which implausible nominal numbers raise the level of their own joint's balances only."""
 
     def __init__(self, balances: TwinBalances, deviation: np.ndarray) -> None:
         self._deviation = deviation
@@ -52,10 +52,10 @@ class JointwiseWorkspace(Workspace):
         reported against that."""
         return self._deviation
 
-    def at_plausible_level(self, y: np.ndarray) -> Workspace:
-        """As `Workspace.tempered`, joint by joint."""
-        base, implausibility = self.at_free_level(y).inflation, np.ones_like(self.inflation)
-        here = self.at(base)
+    def plausible_level(self, y: np.ndarray) -> NoiseLevel:
+        """As `Problem.plausible_level`, joint by joint."""
+        base, implausibility = self.free_level(y).inflation, np.ones_like(self.level.inflation)
+        here = self.at(NoiseLevel(base))
         rows = np.array([row.joint for row in self.balances.rows])
         owner = np.array(
             [-1 if n.joint is None else self.robot.joint_names.index(n.joint) for n in self.nuisance]
@@ -72,15 +72,16 @@ class JointwiseWorkspace(Workspace):
             if not far.size or np.max(far) <= self.settings.regression.plausible:
                 break
             implausibility[rows == owner[np.argmax(far)]] *= 2.0
-            here = here.at(base * implausibility, float(np.max(implausibility)))
-        return here.at(np.maximum(here.inflation, here.levels(y)), float(np.max(implausibility)))
+            here = here.at(NoiseLevel(base * implausibility, float(np.max(implausibility))))
+        inflation = np.maximum(here.level.inflation, here.variances(y))
+        return NoiseLevel(inflation, float(np.max(implausibility)))
 
 
 @dataclass(frozen=True)
 class RobustFinding:
-    """The selection with what the robust search found, in the workspace it was found in."""
+    """The selection with what the robust search found, in the problem it was found in."""
 
-    workspace: Workspace
+    problem: Problem
     selection: Selection
     notes: tuple[str, ...]
 
@@ -88,16 +89,16 @@ class RobustFinding:
 def search_robustly(
     robot: Robot,
     recording: Recording,
-    workspace: Workspace,
+    problem: Problem,
     selection: Selection,
     candidates: Sequence[Candidate],
     report: Progress,
 ) -> RobustFinding | None:
     """Causes that the simulation confirms where the first look left errors unexplained; None: no more than
     there were, or the recording cannot drive a simulation."""
-    here = _workspace(robot, recording, workspace, selection.best)
+    here = _blunted(robot, recording, problem, selection.best)
     # elsewhere the first look had all that there is
-    usual = workspace.settings.robust_search.disagreeing * workspace.readings.noise["q"]
+    usual = problem.settings.robust_search.disagreeing * problem.readings.noise["q"]
     denied = np.flatnonzero(here.readings.noise["q"] > usual).tolist()
     if not denied:
         return None
@@ -143,9 +144,9 @@ class _JointSearch:
     """Tries the candidates of one joint after the other."""
 
     def __init__(
-        self, robot: Robot, recording: Recording, workspace: Workspace, candidates: Sequence[Candidate]
+        self, robot: Robot, recording: Recording, problem: Problem, candidates: Sequence[Candidate]
     ) -> None:
-        self.robot, self.recording, self.workspace = robot, recording, workspace
+        self.robot, self.recording, self.problem = robot, recording, problem
         # what a sensor shows changes no motion: the simulation cannot speak for it
         self.candidates = [c for c in candidates if c.joint is not None and c.effect.site is not Site.SENSOR]
 
@@ -163,8 +164,8 @@ class _JointSearch:
 
     def cleared(self, best: Fit, trial: Fit, k: int) -> float:
         """Factor in variance by which a set leaves less in the balances of joint k."""
-        rows = np.array([row.joint == k for row in self.workspace.balances.rows])
-        before, after = (self.workspace.at_free_level(f.y).inflation[rows] for f in (best, trial))
+        rows = np.array([row.joint == k for row in self.problem.balances.rows])
+        before, after = (self.problem.free_level(f.y).inflation[rows] for f in (best, trial))
         wrong = before > best.settings.search.wrong
         return float(np.exp(np.mean(np.log(before[wrong] / after[wrong])))) if np.any(wrong) else 1.0
 
@@ -180,8 +181,8 @@ class _JointSearch:
         scanned = [s for s in Scanner(own).scan(best) if s.removes >= limits.promising and s.since is None]
         found: list[_Tried] = []
         for scored in scanned[: limits.tried]:
-            trial = at_own_level(fit(best.workspace, [*best.effects, scored.planned()]))
-            if degenerate(trial.workspace, trial.effects[-1]):
+            trial = at_own_level(fit(best.problem, [*best.effects, scored.planned()]))
+            if degenerate(trial.problem, trial.effects[-1]):
                 continue
             cleared = self.cleared(best, trial, k)
             if cleared < limits.cleared:
@@ -198,19 +199,17 @@ class _JointSearch:
             (one for one in found if limits.lowered * one.lowers >= most), key=lambda one: one.cleared
         )
         others = sorted((one for one in found if one is not chosen), key=lambda one: -one.lowers)
-        return chosen.fit, chosen.errors, tuple(fit(chosen.fit.workspace, one.fit.effects) for one in others)
+        return chosen.fit, chosen.errors, tuple(fit(chosen.fit.problem, one.fit.effects) for one in others)
 
     def beside(self, best: Fit, before: np.ndarray, k: int) -> tuple[Fit, np.ndarray] | None:
         """Where a dry friction was found: the set with the joint's nominal one set free, too, and the errors
         then, if the simulation needs that. Two dry frictions of a joint are known only together."""
         limits = best.settings.robust_search
         added = best.effects[-1]
-        nominal = [
-            e for e in self.workspace.nominal if e.joint == added.joint and e.effect.overrides("level")
-        ]
+        nominal = [e for e in self.problem.nominal if e.joint == added.joint and e.effect.overrides("level")]
         if not added.effect.overrides("level") or len(nominal) != 1 or nominal[0].key == added.key:
             return None
-        trial = at_own_level(fit(best.workspace, [*best.effects, nominal[0]]))
+        trial = at_own_level(fit(best.problem, [*best.effects, nominal[0]]))
         errors = self.errors(trial.effects)
         if errors is None or before[k] < limits.lowered_beside * errors[k]:
             return None
@@ -222,7 +221,7 @@ class _JointSearch:
 def _still_supported(best: Fit) -> Fit:
     """The first look's set without what was named on the word of a link encoder that is not trusted here."""
     for planned in best.effects:
-        without = fit(best.workspace, [e for e in best.effects if e is not planned])
+        without = fit(best.problem, [e for e in best.effects if e is not planned])
         if len(best.effects) > 1 and not supported(best, without, planned):
             return _still_supported(at_own_level(without))
     return best
@@ -234,13 +233,13 @@ def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
     for wider in on_all_joints(best, candidates):
         refitted = at_own_level(wider)
         added = refitted.effects[len(best.effects) :]
-        without = [fit(refitted.workspace, [e for e in refitted.effects if e is not one]) for one in added]
+        without = [fit(refitted.problem, [e for e in refitted.effects if e is not one]) for one in added]
         if all(supported(refitted, less, one) for less, one in zip(without, added, strict=True)):
             return _on_all_joints(refitted, candidates)
     return best
 
 
-def _workspace(robot: Robot, recording: Recording, first: Workspace, best: Fit) -> Workspace:
+def _blunted(robot: Robot, recording: Recording, first: Problem, best: Fit) -> Problem:
     """The recording's balances with the link encoders' noise at what the springs' balances are off by."""
     balances, readings = first.balances, first.readings
     residual = balances.residual(first.with_nominal(best.effects))
@@ -263,4 +262,4 @@ def _workspace(robot: Robot, recording: Recording, first: Workspace, best: Fit) 
         reconstruct(robot, denoised(blunt), recording),
         denoised_rest=False,
     )
-    return JointwiseWorkspace(twins, first.deviation)
+    return JointwiseProblem(twins, first.deviation)

@@ -165,9 +165,9 @@ class Scanner:
         self, candidate: Candidate, against: _Against, processes: int
     ) -> Iterator[tuple[_Kept, np.ndarray]]:
         current, base = against.current, against.base
-        workspace, own = current.workspace, against.around(candidate)
+        problem, own = current.problem, against.around(candidate)
         if candidate.effect.overrides("edit_inertial"):
-            yield from (_kept(t) for t in traces(workspace, candidate, base, current.y))
+            yield from (_kept(t) for t in traces(problem, candidate, base, current.y))
             return
         key = (candidate.key, candidate.words, *(e.identity for e in own))
         if key in self._traces:
@@ -175,8 +175,8 @@ class Scanner:
             return
         remembered: list[_Kept] | None = []
         # beside the tolerances' columns, each process has its share of the memory
-        room = (MEMORY - 8 * len(workspace.nuisance) * workspace.samples) / processes
-        for trace in traces(workspace, candidate, own, current.y):
+        room = (MEMORY - 8 * len(problem.nuisance) * problem.samples) / processes
+        for trace in traces(problem, candidate, own, current.y):
             kept, columns = _kept(trace)
             yield kept, columns
             if remembered is not None:
@@ -246,26 +246,26 @@ class _Against:
     """Residual, nuisance and tangents of the current set, with sums over the tail of the record."""
 
     def __init__(self, current: Fit) -> None:
-        workspace = current.workspace
-        self.current, self.base = current, workspace.with_nominal(current.effects)
-        self._rounded = workspace.with_nominal([rounded(e) for e in current.effects])
-        self.rows = len(workspace.balances.rows)
-        time = workspace.time
+        problem = current.problem
+        self.current, self.base = current, problem.with_nominal(current.effects)
+        self._rounded = problem.with_nominal([rounded(e) for e in current.effects])
+        self.rows = len(problem.balances.rows)
+        time = problem.time
         even = np.linspace(time[0], time[-1], current.settings.search.onset_blocks + 1)[:-1]
         beside = onset_margin(time[-1] - time[0], current.settings.search)
         seen = (even >= time[0] + beside) & (even <= time[-1] - beside)
         edges = np.unique(np.searchsorted(time, [time[0], *even[seen]]))
-        self.starts = workspace.balances.chains.t[0] + time[edges]
-        fixed, free = len(workspace.nuisance), len(current.tangents)
-        tangents = current.tangents * workspace.weights
+        self.starts = problem.balances.chains.t[0] + time[edges]
+        fixed, free = len(problem.nuisance), len(current.tangents)
+        tangents = current.tangents * problem.weights
         size = np.maximum(np.sqrt(np.sum(tangents**2, axis=1)), 1e-9)[:, None]
         tangents = tangents / size
-        y = current.y * workspace.weights
+        y = current.y * problem.weights
         gram = np.zeros((fixed + free, fixed + free))
-        gram[:fixed, :fixed] = workspace.gram
-        pull = workspace.pull(current.y)
+        gram[:fixed, :fixed] = problem.gram
+        pull = problem.pull(current.y)
         if free:
-            gram[fixed:, :fixed] = workspace.across(tangents * workspace.weights)
+            gram[fixed:, :fixed] = problem.across(tangents * problem.weights)
             gram[fixed:, fixed:] = tangents @ tangents.T
             gram[:fixed, fixed:] = gram[fixed:, :fixed].T
             # tangents are free; a ridge for rounding, and for numbers without any trace
@@ -273,12 +273,12 @@ class _Against:
             pull = np.concatenate([pull, tangents @ y])
         self.factor = cho_factor(gram)
         self.pulled = cho_solve(self.factor, pull)
-        self.squares = workspace.squares.reshape(self.rows, -1)
+        self.squares = problem.squares.reshape(self.rows, -1)
         ends = [*edges[1:], time.size]
         self.slices = [slice(a, b) for a, b in zip(edges, ends, strict=True)]
         # what columns are multiplied by beside the nominal numbers' plain ones: tangents, residual, and what
         # friction moves of the nominal numbers' columns, (p, rows, samples)
-        moves = workspace.moves
+        moves = problem.moves
         self.moved = moves.numbers
         free_part = np.concatenate([current.tangents / size, current.y[None], moves.change])
         self.free = free_part.reshape(len(free_part), self.rows, time.size)
@@ -290,19 +290,19 @@ class _Against:
     def fixed(self, batch: Sequence[_Traced]) -> np.ndarray:
         """(blocks, rows - first, k, numbers) products of the columns with the nominal numbers' plain ones, as
         yet without weights: the same for any fit of one set."""
-        workspace, first = self.current.workspace, batch[0].kept.first
+        problem, first = self.current.problem, batch[0].kept.first
         out = []
         for s in self.slices:
-            columns = np.concatenate([traced.columns[:, :, s] for traced in batch]) * workspace.used[s]
+            columns = np.concatenate([traced.columns[:, :, s] for traced in batch]) * problem.used[s]
             by_row = enumerate(columns.transpose(1, 0, 2), start=first)
-            out.append([workspace.across_part(part, r, s) for r, part in by_row])
+            out.append([problem.across_part(part, r, s) for r, part in by_row])
         return np.array(out)
 
     def tails(self, batch: Sequence[_Traced], fixed: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Projected curvature and force of each trace's columns, switched on at each block's start. The
         traces begin at the same balance."""
         first, free = batch[0].kept.first, len(self.free) - len(self.moved)
-        plain = np.tensordot(1.0 / self.current.workspace.inflation[first:], fixed, (0, 1))
+        plain = np.tensordot(1.0 / self.current.problem.level.inflation[first:], fixed, (0, 1))
         own, across = [], []
         for s, by_plain in zip(self.slices, plain, strict=True):
             columns = np.concatenate([traced.columns[:, :, s] for traced in batch])

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from flexjoint.core.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Step
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
@@ -65,12 +65,12 @@ class Search:
     def scan(self, current: Fit, replaced: Planned) -> tuple[Scored, ...]:
         """Candidates for the place of an effect. An angle that is made of the nominal model carries errors of
         one joint to the others: there it may be any."""
-        blind = bool(current.workspace.motion.missing)
+        blind = bool(current.problem.motion.missing)
         return self.scanner.scan(current, self.pool, None if blind else replaced)
 
 
 def select(
-    workspace: Workspace,
+    problem: Problem,
     candidates: Sequence[Candidate],
     report: Progress,
     start: Sequence[Planned] = (),
@@ -79,15 +79,13 @@ def select(
     """Forward selection with full refits, exchanges and pruning; `start` seeds the set. Any number of
     `workers` (processes) gives the same bits."""
     scanner = Scanner(candidates)
-    with worker_pool(
-        [*workspace.shared(), *catalogue().values(), *candidates, scanner], workers
-    ) as processes:
-        return _select(workspace, Search(scanner, processes), report, start)
+    with worker_pool([*problem.shared(), *catalogue().values(), *candidates, scanner], workers) as processes:
+        return _select(problem, Search(scanner, processes), report, start)
 
 
-def _select(workspace: Workspace, search: Search, report: Progress, start: Sequence[Planned]) -> Selection:
-    nothing = at_own_level(fit(workspace, []))
-    best = at_own_level(fit(workspace, start)) if start else nothing
+def _select(problem: Problem, search: Search, report: Progress, start: Sequence[Planned]) -> Selection:
+    nothing = at_own_level(fit(problem, []))
+    best = at_own_level(fit(problem, start)) if start else nothing
     scans: list[tuple[Scored, ...]] = []  # of every set that was looked beyond
     trace: list[Step] = []
     seen = {_keys(best)}  # a cause may enter at its own level and not stay at that of the set
@@ -100,7 +98,7 @@ def _select(workspace: Workspace, search: Search, report: Progress, start: Seque
         trace += _exchanged(before, best)
         compared = {e.key: _neighbours(best, e) for e in best.effects}
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.pool)
-        if pairs and len(best.effects) < most_effects(workspace):
+        if pairs and len(best.effects) < most_effects(problem):
             pair = prune(choose(pairs))
             if _keys(pair) not in seen:
                 trace += steps_between(
@@ -127,7 +125,7 @@ def _grown(
 ) -> Fit:
     """The set with causes added one by one, as long as one is better than none; sets that were `seen` are not
     looked at again."""
-    while len(best.effects) < most_effects(best.workspace):
+    while len(best.effects) < most_effects(best.problem):
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
@@ -168,9 +166,9 @@ def _best_at_own_level(best: Fit, found: Sequence[Fit]) -> Fit | None:
     return None
 
 
-def most_effects(workspace: Workspace) -> int:
-    limits = workspace.settings.search
-    return max(limits.most_effects, limits.most_a_joint * len(workspace.robot.joints))
+def most_effects(problem: Problem) -> int:
+    limits = problem.settings.search
+    return max(limits.most_effects, limits.most_a_joint * len(problem.robot.joints))
 
 
 def _keys(result: Fit) -> frozenset[Key]:
@@ -190,7 +188,7 @@ def choose(fits: Sequence[Fit]) -> Fit:
     """The best score; of those that differ by little against what all leave unexplained, or against what
     filters leave of all that is explained, the plainest."""
     best = min(fits, key=score)
-    bare = best.workspace.energy(best.workspace.residual([]))
+    bare = best.problem.energy(best.problem.residual([]))
     close = score(best) + granted([best], bare - best.energy)
     return min((f for f in fits if score(f) <= close), key=lambda f: (price(f), score(f)))
 
@@ -199,9 +197,7 @@ def granted(fits: Sequence[Fit], explained: float) -> float:
     """Energy by which a plainer set may be worse than the one of these fits (one a recording): little against
     what they leave unexplained, or against what filters leave of all that is explained."""
     limits = fits[0].settings.search
-    share = (
-        limits.filtered_reconstructed if any(f.workspace.motion.missing for f in fits) else limits.filtered
-    )
+    share = limits.filtered_reconstructed if any(f.problem.motion.missing for f in fits) else limits.filtered
     return limits.unexplained_share * sum(unexplained_energy(f) for f in fits) + share * max(0.0, explained)
 
 
@@ -222,7 +218,7 @@ def exchange(
         if again is not result:
             result = at_own_level(again)
             replaced = next(e for e in result.effects if e.key == key)
-        without = fit(result.workspace, [e for e in result.effects if e is not replaced])
+        without = fit(result.problem, [e for e in result.effects if e is not replaced])
         needed = without.energy - result.energy
         tried = polish(without, search.scan(without, replaced), needed, search.pool)
         fits = [f for f in tried if f.effects[-1].key != key]
@@ -242,9 +238,9 @@ def exchange(
 
 def _still_better(refitted: Fit, result: Fit) -> bool:
     """Whether a set with another effect in it is better than a `result` at its own level, too."""
-    if degenerate(refitted.workspace, refitted.effects[-1]):
+    if degenerate(refitted.problem, refitted.effects[-1]):
         return False
-    return choose([fit(refitted.workspace, result.effects), refitted]) is refitted
+    return choose([fit(refitted.problem, result.effects), refitted]) is refitted
 
 
 def containing(result: Fit, replaced: str) -> list[Fit]:
@@ -254,7 +250,7 @@ def containing(result: Fit, replaced: str) -> list[Fit]:
     if replaced not in added.effect.contains:
         return []
     beside = [e for e in result.effects[:-1] if e.joint == added.joint]
-    return [fit(result.workspace, [e for e in result.effects if e is not other]) for other in beside]
+    return [fit(result.problem, [e for e in result.effects if e is not other]) for other in beside]
 
 
 def united(result: Fit) -> Fit:
@@ -266,7 +262,7 @@ def united(result: Fit) -> Fit:
                 continue
             others = [e for e in result.effects if e is not narrow and e is not wide]
             for since in dict.fromkeys((wide.since, narrow.since)):
-                alone = date_onset(fit(result.workspace, [*others, replace(wide, since=since)]))
+                alone = date_onset(fit(result.problem, [*others, replace(wide, since=since)]))
                 if score(alone) < score(result):
                     return united(alone)
     return result
@@ -278,7 +274,7 @@ def prune(result: Fit) -> Fit:
     while len(result.effects) > 1:
         cheapest: Fit | None = None
         for dropped in result.effects:
-            without = fit(result.workspace, [e for e in result.effects if e is not dropped])
+            without = fit(result.problem, [e for e in result.effects if e is not dropped])
             if not supported(result, without, dropped) and (
                 cheapest is None or score(without) < score(cheapest)
             ):

@@ -67,13 +67,13 @@ def combine(selections: Sequence[Selection]) -> Together:
     best_key = _chosen(first.nothing, joints)
     best = joints[best_key]
     dated = tuple(e for e in first.best.effects if e.since is not None)
-    workspace = first.best.workspace
+    problem = first.best.problem
     lasting = best.fits[0].effects if best.apart else best.effects
-    chosen = fit(workspace, [*lasting, *dated], iterations=0)
+    chosen = fit(problem, [*lasting, *dated], iterations=0)
     rivals = tuple(
         tuple(
             replace(
-                fit(workspace, [*kept, *dated, _other(kept, joint)], iterations=0),
+                fit(problem, [*kept, *dated, _other(kept, joint)], iterations=0),
                 judge=partial(float, chosen.energy + joint.energy - best.energy),
             )
             for kept, joint in _with_another(best, best_key, effect, joints)
@@ -138,9 +138,9 @@ def _proposals(selections: Sequence[Selection]) -> dict[Names, tuple[Planned, ..
 
 
 def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _Joint:
-    fits = [fit(s.best.workspace, effects) for s in selections]
+    fits = [fit(s.best.problem, effects) for s in selections]
     normals = [
-        normal_equations(f.workspace, f.tangents, f.y, f.slots, f.effects)[0] if f.slots else np.zeros((0, 0))
+        normal_equations(f.problem, f.tangents, f.y, f.slots, f.effects)[0] if f.slots else np.zeros((0, 0))
         for f in fits
     ]
     slots = fits[0].slots
@@ -149,12 +149,12 @@ def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _J
         if slot.param.wraps:
             for numbers in own[1:]:
                 numbers[k] += 2.0 * np.pi * np.round((own[0][k] - numbers[k]) / (2.0 * np.pi))
-    shared = SharedNumbers([f.workspace for f in fits])
+    shared = SharedNumbers([f.problem for f in fits])
     numbers, curvature = shared.solve(fits, own)
     common = list(fits[0].effects)
     for slot, number in zip(slots, numbers, strict=True):
         slot.put(common, float(np.clip(number, slot.param.low, slot.param.high)))
-    there = [fit(s.best.workspace, common, iterations=0) for s in selections]
+    there = [fit(s.best.problem, common, iterations=0) for s in selections]
     energy = sum(f.energy for f in there) + shared.surplus([f.y for f in there])
     apart = sum(f.energy for f in fits) + shared.surplus([f.y for f in fits])
     apart += selections[0].best.settings.search.price_number * len(slots) * (len(selections) - 1)
@@ -192,7 +192,7 @@ def _sure(nothing: Fit, joint: _Joint) -> bool:
     for e in joint.effects:
         laws = [e.effect.nulls, *(numbers_beyond(e.effect, name) for name in e.effect.contains)]
         known = [certainty(nominal, e, errors[e.key], numbers) for numbers in laws if numbers]
-        if degenerate(nothing.workspace, e) or min(known) < nothing.settings.search.present:
+        if degenerate(nothing.problem, e) or min(known) < nothing.settings.search.present:
             return False
     return True
 
@@ -227,7 +227,7 @@ def _notes(best: _Joint) -> tuple[str, ...]:
         if max(apart) > disagree and not slot.param.wraps and len(set(shown)) > 1:
             each = ", ".join(shown)
             planned = best.effects[slot.effect]
-            unit = slot.param.unit_at(planned.joint in best.fits[0].workspace.robot.prismatic)
+            unit = slot.param.unit_at(planned.joint in best.fits[0].problem.robot.prismatic)
             notes.append(f"the recordings disagree on {slot.param.name} of {planned}: {each} {unit}".rstrip())
     return tuple(notes)
 

@@ -12,7 +12,7 @@ import numpy as np
 from flexjoint.core.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
     at_own_level,
@@ -30,10 +30,12 @@ from flexjoint.effects import Kind, Planned
 def at_noise(best: Fit) -> Fit | None:
     """The set fitted at the level of the predicted noise; None where neither a balance is wrong nor a nominal
     number implausible."""
-    workspace = best.workspace
-    if workspace.implausibility <= 1.0 and not np.any(workspace.inflation > best.settings.search.wrong):
+    problem = best.problem
+    if problem.level.implausibility <= 1.0 and not np.any(
+        problem.level.inflation > best.settings.search.wrong
+    ):
         return None
-    return fit(workspace.at(np.ones_like(workspace.inflation)), best.effects)
+    return fit(problem.at(NoiseLevel.predicted(len(problem.balances.rows))), best.effects)
 
 
 def larger_sets(
@@ -76,13 +78,13 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
     number."""
     best, bare, above = task
     marked = _marked(above, 1)
-    levels = bare.workspace.levels(above.y)
+    levels = bare.problem.variances(above.y)
     if not np.any(levels[marked] > above.settings.regression.noise_decides):
         return above
-    below = fit(bare.workspace, above.effects)
-    if degenerate(below.workspace, below.effects[-1]):
+    below = fit(bare.problem, above.effects)
+    if degenerate(below.problem, below.effects[-1]):
         return above
-    lower = _cleared(best, bare.workspace.levels(below.y), marked) > _cleared(best, levels, marked)
+    lower = _cleared(best, bare.problem.variances(below.y), marked) > _cleared(best, levels, marked)
     return below if lower else above
 
 
@@ -90,8 +92,8 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
     """Those of some sets of one more effect than `best` that clear the balances that are wrong, each at the
     level that it leaves. A set that leaves ten times more than one that does will not be chosen."""
     limits = best.settings.search
-    waiting = [(_cleared(best, bare.workspace.levels(f.y), _marked(f, 1)), f) for f in trials]
-    if best.workspace.implausibility <= 1.0:
+    waiting = [(_cleared(best, bare.problem.variances(f.y), _marked(f, 1)), f) for f in trials]
+    if best.problem.level.implausibility <= 1.0:
         waiting = [(share, f) for share, f in waiting if share >= np.log(limits.cleared)]
     while waiting:
         most = max(share for share, _ in waiting)
@@ -106,14 +108,14 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
 def _marked(trial: Fit, last: int) -> np.ndarray:
     """(rows,) bool: the balances that the last few effects of a set mark."""
     count = len(trial.effects)
-    shares = [torque_shares(trial.workspace, trial.effects, k) for k in range(count - last, count)]
+    shares = [torque_shares(trial.problem, trial.effects, k) for k in range(count - last, count)]
     return np.any(np.array(shares) > 0.0, axis=0)
 
 
 def _cleared(best: Fit, levels: np.ndarray, marked: np.ndarray) -> float:
     """By how much (mean logarithm) levels are lower than those of `best`, in the balances that are wrong and
     that what was added marks: of many joints that are wrong, one cause clears its own."""
-    left = best.workspace.inflation / best.workspace.implausibility
+    left = best.problem.level.inflation / best.problem.level.implausibility
     wrong = (left > best.settings.search.wrong) & marked
     return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
 
@@ -140,7 +142,7 @@ def on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> list[Fit]:
         kin = [c for c in candidates if c.effect.name == name and tuple(w for _, w in c.words) == words]
         others = [c.planned(mean) for c in kin if c.joint not in taken]
         if others:
-            found.append(fit(best.workspace, [*best.effects, *others]))
+            found.append(fit(best.problem, [*best.effects, *others]))
     return found
 
 
@@ -156,10 +158,10 @@ def beside_rivals(
     explains (a gap, for an offset that moves it to one side), from where no search finds back. Beside a rival
     that the effect contains as a special case, what else there is on its joint stands in for the rest (an
     offset, for the second level of a friction); beside a rival that fits as well, so may it."""
-    workspace = best.workspace
-    wrong = workspace.inflation / workspace.implausibility > best.settings.search.wrong
-    joints = {row.joint for row, bad in zip(workspace.balances.rows, wrong, strict=True) if bad}
-    names = {workspace.robot.joint_names[joint] for joint in joints}
+    problem = best.problem
+    wrong = problem.level.inflation / problem.level.implausibility > best.settings.search.wrong
+    joints = {row.joint for row, bad in zip(problem.balances.rows, wrong, strict=True) if bad}
+    names = {problem.robot.joint_names[joint] for joint in joints}
     tasks = []
     for effect, fits in zip(best.effects, rivals, strict=True):
         if not names or (acts_within_a_joint(effect) and effect.joint not in names):
@@ -190,10 +192,10 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
         return None
     # what two causes do, one law may do as well with nominal numbers that are far off
     apart = needs_implausible(best, trial) and any(_narrower(rival, e) for e in best.effects)
-    if not apart and not _clears(best, trial.workspace.levels(trial.y), _marked(trial, 2)):
+    if not apart and not _clears(best, trial.problem.variances(trial.y), _marked(trial, 2)):
         return None
     refitted = at_own_level(trial)
-    without = fit(refitted.workspace, best.effects)
+    without = fit(refitted.problem, best.effects)
     if apart:
         return refitted if score(refitted) < score(without) else None
     return refitted if supported(refitted, without, refitted.effects[len(rival.effects) - 1]) else None
@@ -204,14 +206,14 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     nominal number is implausible any more, and it is better there."""
     best, trial = task
     refitted = at_own_level(trial)
-    relieved = best.workspace.implausibility > 1.0 and refitted.workspace.implausibility <= 1.0
+    relieved = best.problem.level.implausibility > 1.0 and refitted.problem.level.implausibility <= 1.0
     # numbers that are implausible with and without it stand for what else is wrong
-    levels = refitted.workspace.inflation / min(
-        refitted.workspace.implausibility, best.workspace.implausibility
+    levels = refitted.problem.level.inflation / min(
+        refitted.problem.level.implausibility, best.problem.level.implausibility
     )
     if not relieved and not _clears(best, levels, _marked(refitted, 1)):
         return None
-    without = fit(refitted.workspace, best.effects)
+    without = fit(refitted.problem, best.effects)
     better = supported(refitted, without, refitted.effects[-1]) and not only_by_implausible(refitted, best)
     return refitted if better else None
 
@@ -220,17 +222,17 @@ def on_one_level(fits: Sequence[Fit], pool: WorkerPool) -> list[Fit]:
     """The fits at the lowest level among theirs, without those that are far worse there."""
     if not fits:
         return []
-    lowest = min((f.workspace for f in fits), key=lambda w: float(np.sum(np.log(w.inflation))))
+    lowest = min((f.problem for f in fits), key=lambda w: float(np.sum(np.log(w.level.inflation))))
     energies = [lowest.energy(f.y) for f in fits]
     most = lowest.settings.search.far_worse * min(energies)
     kept = [f for f, energy in zip(fits, energies, strict=True) if energy <= most]
-    there = [np.array_equal(f.workspace.inflation, lowest.inflation) for f in kept]
+    there = [np.array_equal(f.problem.level.inflation, lowest.level.inflation) for f in kept]
     above = [(lowest, f.effects) for f, same in zip(kept, there, strict=True) if not same]
     moved = iter(pool.map(_refitted, above))
     return [f if same else next(moved) for f, same in zip(kept, there, strict=True)]
 
 
-def _refitted(task: tuple[Workspace, Sequence[Planned]]) -> Fit:
+def _refitted(task: tuple[Problem, Sequence[Planned]]) -> Fit:
     return evaluated(fit(*task))
 
 
@@ -239,7 +241,7 @@ def sought_again(result: Fit, effect: Planned, pool: WorkerPool) -> Fit:
     it is a spring), with that effect fitted anew from every place there: far out the energy is flat, and no
     fit finds back."""
     lengths = [p.name for p in effect.effect.params if p.null is None and p.low > 0.0]
-    starts = result.workspace.starts(effect.effect, effect.joint)
+    starts = result.problem.starts(effect.effect, effect.joint)
     looked = {name: [start[name] for start in starts if name in start] for name in lengths}
     astray = result.settings.search.astray
     if not any(_astray(float(effect.values[name]), places, astray) for name, places in looked.items()):
@@ -249,7 +251,7 @@ def sought_again(result: Fit, effect: Planned, pool: WorkerPool) -> Fit:
     )
     others = [e for e in result.effects if e is not effect]
     trials = [[*others, effect.with_values(dict(shape))] for shape in shapes]
-    fits = pool.map(_refitted, [(result.workspace, trial) for trial in trials])
+    fits = pool.map(_refitted, [(result.problem, trial) for trial in trials])
     best = min(fits, key=lambda f: f.energy)
     return best if best.energy < result.energy - result.settings.search.chance else result
 
@@ -283,8 +285,8 @@ def might_matter(current: Fit, scored: Scored) -> bool:
     if scored.removes >= limits.unfitted**2 * certain:
         return True
     effects = [*current.effects, scored.planned()]
-    shares = torque_shares(current.workspace, effects, len(effects) - 1)
-    return bool(np.max(shares) >= limits.unfitted * current.workspace.robot.tolerance.torque)
+    shares = torque_shares(current.problem, effects, len(effects) - 1)
+    return bool(np.max(shares) >= limits.unfitted * current.problem.robot.tolerance.torque)
 
 
 def polish(current: Fit, scanned: Sequence[Scored], needed: float, pool: WorkerPool) -> list[Fit]:
@@ -304,8 +306,8 @@ def _added(task: tuple[Fit, Scored]) -> Fit | None:
 
 def added_to(current: Fit, scored: Scored) -> Fit | None:
     """A set with a candidate added, fitted and dated; None where its law has shrunk."""
-    fitted = date_onset(fit(current.workspace, [*current.effects, scored.planned()]))
-    return None if degenerate(current.workspace, fitted.effects[-1]) else fitted
+    fitted = date_onset(fit(current.problem, [*current.effects, scored.planned()]))
+    return None if degenerate(current.problem, fitted.effects[-1]) else fitted
 
 
 def date_onset(result: Fit) -> Fit:
@@ -314,15 +316,15 @@ def date_onset(result: Fit) -> Fit:
     added = result.effects[-1]
     if added.since is None:
         return result
-    workspace, limits = result.workspace, result.settings.search
-    always = fit(workspace, [*result.effects[:-1], replace(added, since=None)])
+    problem, limits = result.problem, result.settings.search
+    always = fit(problem, [*result.effects[:-1], replace(added, since=None)])
     for steps in limits.onset_steps:
         moved = _moved_onset(result, steps)
         if moved != result.effects[-1].since:
-            trial = fit(workspace, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
+            trial = fit(problem, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
             if trial.energy < result.energy:
                 result = trial
-    end, since = float(workspace.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
+    end, since = float(problem.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
     margin = onset_margin(end, limits)
     if not margin <= since <= end - margin:
         return always
@@ -333,13 +335,13 @@ def date_onset(result: Fit) -> Fit:
 def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
     """Where, in ever smaller steps from its onset, the last effect of a set would have set in best, all
     numbers held."""
-    workspace, added = result.workspace, result.effects[-1]
-    end = float(workspace.balances.chains.t[-1])
+    problem, added = result.problem, result.effects[-1]
+    end = float(problem.balances.chains.t[-1])
 
     def energy(since: float) -> float:
         if not 0.0 < since < end:
             return np.inf
-        return workspace.energy(workspace.residual([*result.effects[:-1], replace(added, since=since)]))
+        return problem.energy(problem.residual([*result.effects[:-1], replace(added, since=since)]))
 
     best = float(added.since or 0.0)
     least = energy(best)

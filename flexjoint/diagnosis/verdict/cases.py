@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Self
 
 from flexjoint.diagnosis.refinement import refined
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
-from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.result import Estimation, Finding, Gain, ResidualView, Step, Unexplained
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.verdict import held_out, verdict
@@ -40,12 +40,12 @@ class SimulatedCase(Case):
 
     robot: Robot
     recording: Recording
-    workspace: Workspace
+    problem: Problem
     measured: Gain | None
 
     def changed(self, selection: Selection, step: Step) -> Self:
         measured = held_out.comparison(
-            self.robot, self.recording, self.workspace, selection.best, self.measured
+            self.robot, self.recording, self.problem, selection.best, self.measured
         )
         return replace(super().changed(selection, step), measured=measured)
 
@@ -82,7 +82,7 @@ class StatedCase(SimulatedCase):
     @cached_property
     def named(self) -> tuple[Finding, ...]:
         """The findings with the numbers of the balances."""
-        gains = held_out.gains(self.workspace, self.selection.best)
+        gains = held_out.gains(self.problem, self.selection.best)
         return verdict.findings(self.selection, gains, self.unseen, self.measured, self.spread)
 
     @cached_property

@@ -25,7 +25,7 @@ def plainer(selection: Selection, shrunk: Planned) -> Selection:
         return without(selection, shrunk)
     rival = choose(fits)
     refitted = at_own_level(rival)
-    if degenerate(refitted.workspace, refitted.effects[-1]):
+    if degenerate(refitted.problem, refitted.effects[-1]):
         return without(selection, shrunk)
     return given_way(selection, k, rival, refitted)
 
@@ -33,7 +33,7 @@ def plainer(selection: Selection, shrunk: Planned) -> Selection:
 def given_way(selection: Selection, k: int, rival: Fit, refitted: Fit) -> Selection:
     """The selection with a rival, at its own level, in the place of effect k, with rivals of its own."""
     kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
-    left = [fit(refitted.workspace, r.effects) for r in selection.rivals[k] if r is not rival]
+    left = [fit(refitted.problem, r.effects) for r in selection.rivals[k] if r is not rival]
     return replace(selection, best=refitted, rivals=(*kept, tuple(sorted(left, key=score))))
 
 
@@ -41,15 +41,15 @@ def without(selection: Selection, effect: Planned) -> Selection:
     """The selection with one of its causes taken out, the others and their rivals fitted again."""
     best = selection.best
     keep = [k for k, e in enumerate(best.effects) if e.key != effect.key]
-    left = at_own_level(fit(best.workspace, [best.effects[k] for k in keep]))
+    left = at_own_level(fit(best.problem, [best.effects[k] for k in keep]))
 
     def again(rivals: tuple[Fit, ...]) -> tuple[Fit, ...]:
         sets = [[e for e in rival.effects if e.key != effect.key] for rival in rivals]
-        return tuple(sorted((fit(left.workspace, effects) for effects in sets), key=score))
+        return tuple(sorted((fit(left.problem, effects) for effects in sets), key=score))
 
     return replace(selection, best=left, rivals=tuple(again(selection.rivals[k]) for k in keep))
 
 
 def bare(best: Fit, effect: Planned) -> Fit:
     """The fit without an effect, the others fitted again at the same noise level."""
-    return fit(best.workspace, [e for e in best.effects if e is not effect])
+    return fit(best.problem, [e for e in best.effects if e is not effect])

@@ -9,7 +9,7 @@ import numpy as np
 from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compare
 from flexjoint.diagnosis.regression.fit import Fit, fit, shifts
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Gain
 from flexjoint.effects import Planned
 from flexjoint.recording.noise import white_noise
@@ -23,20 +23,21 @@ def held_out_blocks(time: np.ndarray, block: float) -> np.ndarray:
     return np.floor(time / block).astype(int) % 2 == 1
 
 
-def gains(workspace: Workspace, best: Fit) -> list[float]:
+def gains(problem: Problem, best: Fit) -> list[float]:
     """Share of the nominal model's held-out error that each cause removes: refitted on the other blocks,
     with it and without it."""
-    block = workspace.settings.verdict.held_out_block
-    away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time, block)
+    block = problem.settings.verdict.held_out_block
+    away = held_out_blocks(problem.balances.chains.t[0] + problem.time, block)
     if not np.any(away) or np.all(away):
-        away = np.arange(workspace.time.size) % 2 == 1
-    level = best.workspace.inflation
-    seen, unseen = workspace.at(level).only(~away), workspace.at(level).only(away)
-    noise = float(np.sum(1.0 / level)) * float(np.sum(away)) * workspace.whitening.freedom / len(level)
+        away = np.arange(problem.time.size) % 2 == 1
+    level = best.problem.level.inflation
+    problem = problem.at(NoiseLevel(level))
+    seen, unseen = problem.only(~away), problem.only(away)
+    noise = float(np.sum(1.0 / level)) * float(np.sum(away)) * problem.whitening.freedom / len(level)
 
     def error(effects: Sequence[Planned]) -> float:
         fitted = fit(seen, effects)
-        rest = fitted.workspace.rest(fitted.y) * unseen.weights
+        rest = fitted.problem.rest(fitted.y) * unseen.weights
         return float(rest @ rest)
 
     everything, none = error(best.effects), error([])
@@ -51,7 +52,7 @@ def gains(workspace: Workspace, best: Fit) -> list[float]:
 def comparison(
     robot: Robot,
     recording: Recording,
-    workspace: Workspace,
+    problem: Problem,
     best: Fit,
     known: Gain | None = None,
     nothing: Fit | None = None,
@@ -60,15 +61,15 @@ def comparison(
     None where the recording cannot drive a simulation. Of `known`, an earlier comparison, the nominal model's
     part is taken. With `nothing`, the fit without causes, each of the two has its nominal numbers where it
     would have them by their tolerances."""
-    block = workspace.settings.verdict.held_out_block
-    away = held_out_blocks(workspace.balances.chains.t[0] + workspace.time, block)
+    block = problem.settings.verdict.held_out_block
+    away = held_out_blocks(problem.balances.chains.t[0] + problem.time, block)
     held_out = bool(np.any(away) and not np.all(away))
     if held_out:
-        best = fit(workspace.at(best.workspace.inflation).only(~away), best.effects)
+        best = fit(problem.at(NoiseLevel(best.problem.level.inflation)).only(~away), best.effects)
     first, last = robot, robot.extended(best.effects)
     if nothing is not None:
         if held_out:
-            nothing = fit(workspace.at(nothing.workspace.inflation).only(~away), [])
+            nothing = fit(problem.at(NoiseLevel(nothing.problem.level.inflation)).only(~away), [])
         first, last = robot.extended(shifts(nothing)), last.extended(shifts(best))
     rows = (
         held_out_blocks(recording.time - recording.time[0], block)

@@ -27,20 +27,20 @@ def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
     """Largest variance, in that of the noise, of what is left in the balances that effect k of a set touches,
     whitened alone or beside those before them, and its share of what was there with `nothing`; correlated
     leftovers count as the few independent samples that they are."""
-    touched = torque_shares(best.workspace, best.effects, k) > 0.0
+    touched = torque_shares(best.problem, best.effects, k) > 0.0
     if not np.any(touched):
         return 1.0, 1.0
     touched[_most_telling(best, k)] = True
-    levels = best.workspace.levels(best.y)
-    row = int(np.argmax(np.where(touched, levels, 0.0)))
-    return float(levels[row]), float(levels[row] / nothing.workspace.inflation[row])
+    variances = best.problem.variances(best.y)
+    row = int(np.argmax(np.where(touched, variances, 0.0)))
+    return float(variances[row]), float(variances[row] / nothing.problem.level.inflation[row])
 
 
 def _most_telling(best: Fit, k: int) -> int:
     """The whitened balance in which effect k of a set leaves its largest mark: a friction of a motor may be
     lost in the noise of its spring, and known from the load of its link alone."""
     others = [e for i, e in enumerate(best.effects) if i != k]
-    mark = best.workspace.moved(others, best.effects).reshape(len(best.workspace.inflation), -1)
+    mark = best.problem.moved(others, best.effects).reshape(len(best.problem.level.inflation), -1)
     return int(np.argmax(np.sum(mark**2, axis=1)))
 
 
@@ -50,7 +50,7 @@ def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
     limits = best.settings.verdict
     joint = best.effects[k].joint
     crowd = max(0, sum(e.joint == joint for e in best.effects) - limits.crowd)
-    implausible = limits.belief_implausible if best.workspace.implausibility > 1.0 else 0.0
+    implausible = limits.belief_implausible if best.problem.level.implausibility > 1.0 else 0.0
     decades = float(np.log10(max(1.0, left)))
     against = limits.belief_per_decade * decades + implausible + limits.belief_crowd * crowd - limits.belief
     least = limits.cleared_belief if share < limits.cleared_share else 0.0
@@ -109,7 +109,7 @@ def followed(best: Fit, found: Sequence[Finding], estimation: Estimation | None)
     their noise: what they leave in the balances may be those' own error (a motion made of the nominal model).
     A near relative of the true effect may follow, too (a limit of the torque for one of the speed), so a name
     is even odds at most by this."""
-    if estimation is None or not estimation.follows or not best.workspace.motion.missing:
+    if estimation is None or not estimation.follows or not best.problem.motion.missing:
         return tuple(found)
     return tuple(_at_least(f, best.settings.verdict.followed_belief) for f in found)
 

@@ -22,21 +22,21 @@ KNOTS = 8  # of the spline through which a residual is regressed on a signal
 def residual_views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
     """Residual of every balance [N m] before and after, with the signals it may depend on. Encoder offsets
     that are free in each recording, and what torques did between samples, are taken out of both."""
-    workspace = best.workspace
-    balances, used = workspace.balances, workspace.readings.valid
+    problem = best.problem
+    balances, used = problem.balances, problem.readings.valid
     first, last = nominal_deviations(nothing), nominal_deviations(best)
-    offsets = [e for e in deviation_effects(nothing.workspace, first) if e.effect.site is Site.SENSOR]
+    offsets = [e for e in deviation_effects(nothing.problem, first) if e.effect.site is Site.SENSOR]
 
     def series(effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
-        return (balances.time_series(balances.residual(effects)) - workspace.jumped(numbers))[:, used]
+        return (balances.time_series(balances.residual(effects)) - problem.jumped(numbers))[:, used]
 
-    before = series([*workspace.nominal, *offsets], first)
-    after = series([*workspace.with_nominal(best.effects), *deviation_effects(workspace, last)], last)
-    noise = workspace.deviation
+    before = series([*problem.nominal, *offsets], first)
+    after = series([*problem.with_nominal(best.effects), *deviation_effects(problem, last)], last)
+    noise = problem.deviation
     out = []
     for row, old, new, expected in zip(balances.rows, before, after, noise, strict=True):
-        joint = workspace.robot.joints[row.joint]
-        signals = workspace.signals(joint.name)
+        joint = problem.robot.joints[row.joint]
+        signals = problem.signals(joint.name)
         axes = {
             "dtheta": signals.dtheta,
             "q": signals.q,
@@ -55,12 +55,12 @@ def residual_views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
 def explained_share(best: Fit, residuals: tuple[ResidualView, ...]) -> float:
     """Share of the squared error above noise that is gone, averaged over the balances that had one; 1 where
     none had."""
-    workspace, shares = best.workspace, []
-    for row, view in zip(workspace.balances.rows, residuals, strict=True):
+    problem, shares = best.problem, []
+    for row, view in zip(problem.balances.rows, residuals, strict=True):
         first, left = (float(np.mean(x**2)) - view.noise**2 for x in (view.before, view.after))
-        floor = workspace.robot.tolerance.torque * float(workspace.torque_scale[row.joint])
+        floor = problem.robot.tolerance.torque * float(problem.torque_scale[row.joint])
         if first > max(
-            (workspace.settings.verdict.clear * floor) ** 2, view.noise**2
+            (problem.settings.verdict.clear * floor) ** 2, view.noise**2
         ):  # a balance that was clearly wrong
             shares.append(1.0 - float(np.clip(left / first, 0.0, 1.0)))
     return float(np.mean(shares)) if shares else 1.0
@@ -69,17 +69,17 @@ def explained_share(best: Fit, residuals: tuple[ResidualView, ...]) -> float:
 def unexplained_balances(best: Fit, residuals: tuple[ResidualView, ...]) -> tuple[Unexplained, ...]:
     """Balances whose residual is beyond noise and beyond the robot's torque tolerance. Where nothing was
     found and only implausible nominal numbers would explain the error, the whole error is left over."""
-    workspace = best.workspace
-    implausible = not best.effects and workspace.implausibility > workspace.settings.robust_search.begins
+    problem = best.problem
+    implausible = not best.effects and problem.level.implausibility > problem.settings.robust_search.begins
     found = []
-    for row, seen in zip(workspace.balances.rows, residuals, strict=True):
+    for row, seen in zip(problem.balances.rows, residuals, strict=True):
         view = replace(seen, after=seen.before) if implausible else seen
         left, first = float(np.sqrt(np.mean(view.after**2))), float(np.sqrt(np.mean(view.before**2)))
         # a mean is what offset-free recordings leave; what varies counts
-        floor = workspace.robot.tolerance.torque * float(workspace.torque_scale[row.joint])
+        floor = problem.robot.tolerance.torque * float(problem.torque_scale[row.joint])
         beyond = np.sqrt(max(0.0, left**2 - view.noise**2))
-        if beyond > floor and left > workspace.settings.verdict.above_noise * view.noise:
-            against = depends_on(view.after, view.signals, workspace.settings.verdict.oscillation)
+        if beyond > floor and left > problem.settings.verdict.above_noise * view.noise:
+            against = depends_on(view.after, view.signals, problem.settings.verdict.oscillation)
             share = float(min(1.0, (beyond / max(first, 1e-300)) ** 2))
             found.append(Unexplained(view.joint, view.balance, share, against))
     return tuple(sorted(found, key=lambda u: -u.share))

@@ -22,7 +22,7 @@ def ties(
     if not rivals:
         return ()
     if explained is None:
-        explained = fit(best.workspace, [e for e in best.effects if e is not planned]).energy - best.energy
+        explained = fit(best.problem, [e for e in best.effects if e is not planned]).energy - best.energy
     for rival in rivals:
         other = rival.effects[-1]
         delays = [e.effect.kind is Kind.TIMING for e in (planned, other)]
@@ -63,12 +63,12 @@ def _worse_throughout(best: Fit, rival: Fit) -> bool:
 
 def _by_block(result: Fit) -> np.ndarray:
     """Energy that a fit leaves in each time block, the nominal numbers at their best."""
-    workspace, time = result.workspace, result.workspace.time
+    problem, time = result.problem, result.problem.time
     settings = result.settings
     whole = float(time[-1] - time[0])
     length = min(settings.regression.time_block, whole / settings.verdict.time_blocks)
-    blocks = np.tile(((time - time[0]) / length).astype(int), len(workspace.balances.rows))
-    return np.bincount(blocks, (workspace.rest(result.y) * workspace.weights) ** 2)
+    blocks = np.tile(((time - time[0]) / length).astype(int), len(problem.balances.rows))
+    return np.bincount(blocks, (problem.rest(result.y) * problem.weights) ** 2)
 
 
 def preferred(best: Fit, planned: Planned, rivals: Sequence[Fit], tied: Sequence[Tie]) -> float:

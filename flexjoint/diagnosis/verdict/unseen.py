@@ -16,7 +16,7 @@ import numpy as np
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances
 from flexjoint.diagnosis.regression.deviations import deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, fit, nominal_deviations
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Remaining, Removed
 from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.verdict.held_out import held_out_blocks
@@ -31,7 +31,7 @@ NEIGHBOURS = ("q", "tau_t")  # signals of a neighbour that may leave a trace: a 
 class Unseen:
     """Filtered residuals [N m] of all balances on usable samples, by sets of causes."""
 
-    workspace: Workspace
+    problem: Problem
     away: np.ndarray  # (N,) bool: samples that the fits did not see
     before: np.ndarray  # (rows, N) of the nominal model
     after: np.ndarray  # of the whole set
@@ -39,63 +39,60 @@ class Unseen:
 
     def noise(self, removed: Removed) -> float:
         """[N m] what the sensors' noise alone leaves of the balance in which a cause was measured."""
-        names = self.workspace.robot.joint_names
+        names = self.problem.robot.joint_names
         row = next(
             k
-            for k, row in enumerate(self.workspace.balances.rows)
+            for k, row in enumerate(self.problem.balances.rows)
             if (names[row.joint], row.balance) == (removed.joint, removed.balance)
         )
-        return float(self.workspace.deviation[row])
+        return float(self.problem.deviation[row])
 
 
 def unseen(best: Fit, nothing: Fit) -> Unseen:
     """Residuals of a set of causes, fitted on every second block of two seconds, of the same model without
     each of them, and of the nominal model."""
-    workspace = best.workspace
-    time, block = workspace.balances.chains.t, workspace.settings.verdict.held_out_block
-    blocks = held_out_blocks(time[0] + workspace.time, block)
-    away = held_out_blocks(time, block)[workspace.readings.valid]
+    problem = best.problem
+    time, block = problem.balances.chains.t, problem.settings.verdict.held_out_block
+    blocks = held_out_blocks(time[0] + problem.time, block)
+    away = held_out_blocks(time, block)[problem.readings.valid]
     if np.any(blocks) and not np.all(blocks):
-        workspace = workspace.at(workspace.inflation).only(~blocks)
+        problem = problem.at(NoiseLevel(problem.level.inflation)).only(~blocks)
     else:
         away = np.arange(away.size) % 2 == 1  # too short for blocks
-    fitted = fit(workspace, best.effects)
-    workspace, numbers = fitted.workspace, nominal_deviations(fitted)
-    jumped = workspace.jumped(numbers)[:, workspace.readings.valid]
+    fitted = fit(problem, best.effects)
+    problem, numbers = fitted.problem, nominal_deviations(fitted)
+    jumped = problem.jumped(numbers)[:, problem.readings.valid]
 
     def left(effects: Sequence[Planned]) -> np.ndarray:
-        return (
-            _of(workspace, [*workspace.with_nominal(effects), *deviation_effects(workspace, numbers)])
-            - jumped
-        )
+        return _of(problem, [*problem.with_nominal(effects), *deviation_effects(problem, numbers)]) - jumped
 
     without = [left([e for e in fitted.effects if e is not one]) for one in fitted.effects]
-    return Unseen(best.workspace, away, _nominal(nothing), left(fitted.effects), tuple(without))
+    return Unseen(best.problem, away, _nominal(nothing), left(fitted.effects), tuple(without))
 
 
 def _nominal(nothing: Fit) -> np.ndarray:
     """(rows, N) what the nominal model leaves. Encoder offsets, free in each recording, are no error."""
-    workspace = nothing.workspace
+    problem = nothing.problem
     offsets = [
-        e for e in deviation_effects(workspace, nominal_deviations(nothing)) if e.effect.site is Site.SENSOR
+        e for e in deviation_effects(problem, nominal_deviations(nothing)) if e.effect.site is Site.SENSOR
     ]
-    return _of(workspace, [*workspace.nominal, *offsets])
+    return _of(problem, [*problem.nominal, *offsets])
 
 
-def _of(workspace: Workspace, effects: Sequence[Planned]) -> np.ndarray:
-    balances = workspace.balances
-    return np.asarray(balances.time_series(balances.residual(effects))[:, workspace.readings.valid])
+def _of(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
+    balances = problem.balances
+    return np.asarray(balances.time_series(balances.residual(effects))[:, problem.readings.valid])
 
 
 # ------------------------------------------------------------------ causes
 def removed(data: Unseen, k: int) -> Removed:
     """What cause k of a set removes, in the balance that it clears most."""
-    workspace, away = data.workspace, data.away
+    problem, away = data.problem, data.away
     without, left = (np.mean(x[:, away] ** 2, axis=1) for x in (data.without[k], data.after))
-    noise = np.maximum(workspace.deviation**2, 1e-300)
+    noise = np.maximum(problem.deviation**2, 1e-300)
     row = int(np.argmax((without - left) / np.maximum(left, noise)))
-    where = workspace.balances.rows[row]
-    joint = workspace.robot.joints[where.joint].name
+    where = problem.balances.rows[row]
+    joint = problem.robot.joints[where.joint].name
     share, against = shape(data, data.after[row], joint)
     return Removed(
         joint, where.balance, float(np.sqrt(without[row])), float(np.sqrt(left[row])),
@@ -106,11 +103,11 @@ def removed(data: Unseen, k: int) -> Removed:
 # ------------------------------------------------------------------ joints
 def remaining(data: Unseen) -> tuple[Remaining, ...]:
     """What is left of each joint's torque."""
-    workspace, away = data.workspace, data.away
-    noise = _noise(workspace)
+    problem, away = data.problem, data.away
+    noise = _noise(problem)
     out = []
-    for j, joint in enumerate(workspace.robot.joints):
-        before, after = (_total(workspace.balances, x, j) for x in (data.before, data.after))
+    for j, joint in enumerate(problem.robot.joints):
+        before, after = (_total(problem.balances, x, j) for x in (data.before, data.after))
         if before is None or after is None:
             continue
         share, against = shape(data, after, joint.name)
@@ -118,7 +115,7 @@ def remaining(data: Unseen) -> tuple[Remaining, ...]:
         out.append(
             Remaining(
                 joint.name,
-                float(workspace.torque_scale[j]),
+                float(problem.torque_scale[j]),
                 float(np.sqrt(np.mean(before[away] ** 2))),
                 left,
                 noise[j],
@@ -135,16 +132,16 @@ def _total(balances: Balances, series: np.ndarray, j: int) -> np.ndarray | None:
     return np.sum(series[rows], axis=0) if rows else None
 
 
-def _noise(workspace: Workspace) -> list[float]:
+def _noise(problem: Problem) -> list[float]:
     """RMS [N m] that the sensors' noise has in each joint's torque error."""
-    balances, readings = workspace.balances, workspace.readings
-    nominal = list(workspace.nominal)
+    balances, readings = problem.balances, problem.readings
+    nominal = list(problem.nominal)
     measured, denoised = (
         b.time_series(b.residual(nominal))[:, readings.valid] for b in (balances, balances.denoised)
     )
     smoothing = float(np.sqrt(np.mean(balances.filter.gain**2)))  # of a torque's white noise
     out = []
-    for j in range(len(workspace.robot.joints)):
+    for j in range(len(problem.robot.joints)):
         positions = _total(balances, measured - denoised, j)
         moved = 0.0 if positions is None else float(np.std(positions))
         out.append(float(np.hypot(moved, smoothing * float(readings.noise["torque"][j]))))
@@ -172,7 +169,7 @@ def shape(data: Unseen, series: np.ndarray, joint: str) -> tuple[float, str]:
     if not np.any(seen) or not np.any(away):
         return most, best
     whole = max(float(np.sum(series[away] ** 2)), 1e-300)
-    for name, x in signals(data.workspace, joint).items():
+    for name, x in signals(data.problem, joint).items():
         design = smooth_curve(x)
         normal = design[seen].T @ design[seen]
         normal += RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
@@ -183,14 +180,14 @@ def shape(data: Unseen, series: np.ndarray, joint: str) -> tuple[float, str]:
     return most, best
 
 
-def signals(workspace: Workspace, joint: str) -> Mapping[str, np.ndarray]:
+def signals(problem: Problem, joint: str) -> Mapping[str, np.ndarray]:
     """(N,) signals that an error of a joint may depend on: its own, its neighbours' positions and loads."""
-    names = workspace.robot.joint_names
+    names = problem.robot.joint_names
     at = names.index(joint)
-    own = workspace.signals(joint)
+    own = problem.signals(joint)
     out = {name: getattr(own, name) for name in ("q", "dtheta", "tau_t", "phi", "tau_m", "t")}
     for k in (at - 1, at + 1):
         if 0 <= k < len(names):
-            other: Signals = workspace.signals(names[k])
+            other: Signals = problem.signals(names[k])
             out |= {f"{name}.{names[k]}": getattr(other, name) for name in NEIGHBOURS}
     return {name: x for name, x in out.items() if float(np.ptp(x)) > 0.0}

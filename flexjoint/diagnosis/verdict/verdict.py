@@ -36,10 +36,10 @@ def findings(
         return ()
     errors = standard_errors(best)
     joints = remaining(data)
-    sliding = best.workspace.robot.prismatic
+    sliding = best.problem.robot.prismatic
     out: list[Finding] = []
     for k, planned in enumerate(best.effects):
-        listed = next((e for e in best.workspace.nominal if e.key == planned.key), None)
+        listed = next((e for e in best.problem.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
         rivals = tuple(rival for rival in rivals if not needs_implausible(rival, best))
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
@@ -60,7 +60,7 @@ def findings(
                 _parameters(
                     planned, (spread or {}).get(planned.key, errors[k]), listed, planned.joint in sliding
                 ),
-                None if planned.since is None else planned.since + best.workspace.readings.start,
+                None if planned.since is None else planned.since + best.problem.readings.start,
                 gains[k],
                 str(planned.effect.kind),
                 planned,
@@ -140,18 +140,18 @@ def _parameters(
 def _hidden_by_refit(selection: Selection, k: int) -> bool:
     """Whether freeing the nominal numbers altogether would absorb most of what the effect explains."""
     best = selection.best
-    workspace = best.workspace
+    problem = best.problem
     without = [e for i, e in enumerate(best.effects) if i != k]
-    free = len(workspace.nuisance)
+    free = len(problem.nuisance)
     if not free:
         return False
-    rest = workspace.residual(without)
-    freed = np.array([number.of_the_robot for number in workspace.nuisance], dtype=float)
-    y, normal = rest * workspace.weights, workspace.gram - np.diag(freed)
+    rest = problem.residual(without)
+    freed = np.array([number.of_the_robot for number in problem.nuisance], dtype=float)
+    y, normal = rest * problem.weights, problem.gram - np.diag(freed)
     ridge = 1e-6 * np.trace(normal) / free * np.eye(free)
-    pull = np.linalg.solve(normal + ridge, workspace.pull(rest))
-    absorbed = y - workspace.along(pull) * workspace.weights
-    own = best.y * workspace.weights
+    pull = np.linalg.solve(normal + ridge, problem.pull(rest))
+    absorbed = y - problem.along(pull) * problem.weights
+    own = best.y * problem.weights
     here, refit = float(y @ y - own @ own), float(y @ y - absorbed @ absorbed)
     return refit > best.settings.verdict.hidden * here > 0.0
 
@@ -175,11 +175,11 @@ def not_believed(best: Fit) -> tuple[str, ...]:
 
 def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
     """Actuators' numbers that the data show to be off, and by how many prior deviations."""
-    workspace = best.workspace
-    pull, error = -workspace.deviations(best.y), workspace.deviation_errors()
+    problem = best.problem
+    pull, error = -problem.deviations(best.y), problem.deviation_errors()
     found, limits = {e.key for e in best.effects}, best.settings.verdict
     out = []
-    for number, value, std in zip(workspace.nuisance, pull, error, strict=True):
+    for number, value, std in zip(problem.nuisance, pull, error, strict=True):
         if (
             number.joint is None
             or abs(value) < max(limits.notable * std, limits.least_off)
@@ -189,7 +189,7 @@ def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
         change = float(value) * number.spread
         name = number.name
         if name == "motor_damping":
-            name, change = "motor_viscous_friction", change * workspace.robot.joint(number.joint).drive.D_m
+            name, change = "motor_viscous_friction", change * problem.robot.joint(number.joint).drive.D_m
         elif name not in ("spring_stiffness", "spring_damping", "motor_inertia"):
             continue
         out.append((WithinTolerance(name, number.joint, change), float(value)))

@@ -22,7 +22,7 @@ from flexjoint.diagnosis.refinement.sensitivities import (
 )
 from flexjoint.diagnosis.refinement.shooting import Reduced, Shooting
 from flexjoint.diagnosis.regression.fit import Fit, fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Diagnosis, Estimation, Finding, Fitted, sentences, to_json
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.effects import Planned, effect
@@ -215,9 +215,9 @@ def balanced(k: int) -> tuple[Robot, Recording, Fit]:
     """What the diagnosis has of a case in COVERED once its cause is named."""
     case, planted = COVERED[k]
     robot, recording = nominal(case.robot), as_recording(case.with_causes(planted))
-    workspace = Workspace(balances_of(robot, recording))
+    problem = Problem(balances_of(robot, recording))
     effects = [Planned.of(planted.effect, planted.joint, dict(planted.parameters))]
-    return robot, recording, at_own_level(fit(workspace, effects))
+    return robot, recording, at_own_level(fit(problem, effects))
 
 
 @cache
@@ -282,7 +282,7 @@ def test_a_number_at_its_bound_is_reported() -> None:
     """Coulomb friction told as Stribeck's: there is no extra level to be found."""
     best = balanced(4)[2]
     values = {"level": 0.5, "static_extra": 0.0, "velocity": 0.06}
-    told = fit(best.workspace, [Planned.of("stribeck_friction", "turn", values)], iterations=0)
+    told = fit(best.problem, [Planned.of("stribeck_friction", "turn", values)], iterations=0)
 
     estimation = refined.from_balances(told, "")
 
@@ -299,8 +299,8 @@ def test_without_the_motors_torque_the_balances_numbers_stay() -> None:
         replace(NO_COMMAND, noisy_feedback=False),
     )
     robot, recording = nominal("lever"), as_recording(recorded)
-    workspace = Workspace(balances_of(robot, recording))
-    best = fit(workspace, [effect("spring_stiffness", "swing", scale=-0.2)])
+    problem = Problem(balances_of(robot, recording))
+    best = fit(problem, [effect("spring_stiffness", "swing", scale=-0.2)])
     before = findings_of(best)
 
     found, estimation = refined.refine(robot, recording, best, before)
@@ -315,8 +315,8 @@ def test_a_model_that_does_not_follow_keeps_the_balances_numbers() -> None:
     recording = as_recording(
         Case("lever", "rich", 72).with_causes(cause("spring_stiffness", "swing", scale=1.0))
     )
-    workspace = Workspace(balances_of(robot, recording))
-    best = at_own_level(fit(workspace, [effect("hardening_spring", "swing", cubic=10.0)]))
+    problem = Problem(balances_of(robot, recording))
+    best = at_own_level(fit(problem, [effect("hardening_spring", "swing", cubic=10.0)]))
     before = findings_of(best)
 
     found, estimation = refined.refine(robot, recording, best, before)

@@ -17,12 +17,12 @@ from flexjoint.core.worker_pool import worker_pool
 from flexjoint.diagnosis.balances import balances, chain
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
+from flexjoint.diagnosis.regression import problem as problems
 from flexjoint.diagnosis.regression import whitening
-from flexjoint.diagnosis.regression import workspace as workspaces
 from flexjoint.diagnosis.regression.deviations import judged_energy
 from flexjoint.diagnosis.regression.fit import Fit, covariance, fit
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.regression.shared_numbers import SharedNumbers
-from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.result import to_json
 from flexjoint.diagnosis.search import scan
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates, may_replace
@@ -37,16 +37,16 @@ KEPT = ("backlash", "cogging", "link_coulomb_friction", "payload", "base_tilt", 
 
 
 @cache
-def workspace(seed: int = 41) -> Workspace:
+def problem(seed: int = 41) -> Problem:
     recording = as_recording(Case("crane", "rich", seed).with_causes(GAP)).between(0.0, 5.0)
-    return Workspace(balances_of(nominal("crane"), recording))
+    return Problem(balances_of(nominal("crane"), recording))
 
 
 def scanned(workers: int, current: Fit) -> list[tuple[object, ...]]:
-    candidates = [c for c in enumerate_candidates(workspace()) if c.effect.name in KEPT]
+    candidates = [c for c in enumerate_candidates(problem()) if c.effect.name in KEPT]
     scanner = Scanner(candidates)
     with worker_pool(
-        [*workspace().shared(), *catalogue().values(), *candidates, scanner], workers
+        [*problem().shared(), *catalogue().values(), *candidates, scanner], workers
     ) as processes:
         assert processes.size == workers
         # twice: the second scan takes what the first remembered
@@ -55,7 +55,7 @@ def scanned(workers: int, current: Fit) -> list[tuple[object, ...]]:
 
 
 def test_any_number_of_processes_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    current = fit(workspace(), [effect("motor_coulomb_friction", "elbow", level=0.3)])
+    current = fit(problem(), [effect("motor_coulomb_friction", "elbow", level=0.3)])
     alone = scanned(1, current)
     assert scanned(2, current) == alone == scanned(5, current)
     # and so does a scan that may remember nothing, and a chain that is made anew each time
@@ -75,11 +75,11 @@ def test_a_search_is_the_same_for_any_number_of_processes() -> None:
 
 
 def test_fits_of_one_set_are_scanned_together_as_alone() -> None:
-    noisy = workspace().at(np.full(6, 50.0))
+    noisy = problem().at(NoiseLevel(np.full(6, 50.0)))
     effects = [effect("motor_coulomb_friction", "elbow", level=0.3)]
     for set_of in ([], effects):  # with an effect, traces of its joint are not shared
-        fits = [fit(workspace(), set_of), fit(noisy, set_of)]
-        scanner = Scanner([c for c in enumerate_candidates(workspace()) if c.effect.name in KEPT])
+        fits = [fit(problem(), set_of), fit(noisy, set_of)]
+        scanner = Scanner([c for c in enumerate_candidates(problem()) if c.effect.name in KEPT])
         together, alone = scanner.scans(fits), [scanner.scan(one) for one in fits]
         for a, b in zip(together, alone, strict=True):
             assert [s.candidate for s in a] == [s.candidate for s in b]
@@ -89,9 +89,9 @@ def test_fits_of_one_set_are_scanned_together_as_alone() -> None:
 
 def test_what_is_remembered_changes_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     effects = [effect("motor_coulomb_friction", "elbow", level=0.3), effect("cogging", "shoulder")]
-    fitted = [fit(fresh, effects) for fresh in (workspace.__wrapped__(), workspace())]
-    monkeypatch.setattr(workspaces, "REMEMBERED", 0.0)
-    fitted += [fit(fresh, effects) for fresh in (workspace.__wrapped__(), workspace())]
+    fitted = [fit(fresh, effects) for fresh in (problem.__wrapped__(), problem())]
+    monkeypatch.setattr(problems, "REMEMBERED", 0.0)
+    fitted += [fit(fresh, effects) for fresh in (problem.__wrapped__(), problem())]
     assert len({(f.energy, *(slot.get(f.effects) for slot in f.slots)) for f in fitted}) == 1
 
 
@@ -99,10 +99,10 @@ def test_a_change_of_the_bodies_torques_is_remembered_as_it_is(monkeypatch: pyte
     """What a joint's late encoder does to all joints, beside what differs at another one, and alone."""
     late = [effect("sensor_delay", "shoulder", delay=2e-3, channel="q")]
     rubs = [*late, effect("motor_coulomb_friction", "elbow", level=0.3)]
-    torques = [workspace.__wrapped__().balances.change(*pair) for pair in ((late, rubs), ([], late))]
+    torques = [problem.__wrapped__().balances.change(*pair) for pair in ((late, rubs), ([], late))]
     monkeypatch.setattr(balances, "REMEMBERED", 0.0)
     monkeypatch.setattr(chain, "CORRECTED", 0.0)
-    anew = workspace().balances
+    anew = problem().balances
     assert np.array_equal(torques[1], anew.change([], late))
     assert np.array_equal(torques[0], anew.change(late, rubs))
     elbow = nominal("crane").joint_names.index("elbow")
@@ -119,9 +119,9 @@ def test_an_energy_is_evaluated_once_and_when_it_is_asked_for(monkeypatch: pytes
         return judged_energy(*given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(fitting, "judged_energy", counted)
-    fitted = at_own_level(fit(workspace(), THREE))
+    fitted = at_own_level(fit(problem(), THREE))
     assert asked == 0
-    judged = judged_energy(fitted.workspace, fitted.y, fitted.effects)
+    judged = judged_energy(fitted.problem, fitted.y, fitted.effects)
     assert [fitted.energy, fitted.energy] == [judged, judged]  # no weak prior: none of these is a factor
     assert asked == 1
 
@@ -134,12 +134,12 @@ THREE = (
 
 
 def test_kept_derivatives_lead_to_the_same_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = fit(workspace(), THREE)
-    made = len(fitting._followed(kept.workspace, kept.effects, kept.slots, kept.tangents, kept.effects)[0])
+    kept = fit(problem(), THREE)
+    made = len(fitting._followed(kept.problem, kept.effects, kept.slots, kept.tangents, kept.effects)[0])
     monkeypatch.setattr(fitting, "NEAR", 0.0)
-    anew = fit(workspace.__wrapped__(), THREE)
+    anew = fit(problem.__wrapped__(), THREE)
     assert made == len(kept.slots) == 3
-    assert kept.energy < fit(workspace(), THREE, iterations=0).energy - 1000.0
+    assert kept.energy < fit(problem(), THREE, iterations=0).energy - 1000.0
     # both end where a step gains less than CONVERGED and a millionth
     assert kept.energy == pytest.approx(anew.energy, abs=2.0 * fitting.CONVERGED + 2e-6 * anew.energy)
     error = np.sqrt(np.diag(covariance(anew, np.zeros(anew.y.size, int) + np.arange(anew.y.size) // 100)))
@@ -148,7 +148,7 @@ def test_kept_derivatives_lead_to_the_same_fit(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_derivative_depends_on_the_effects_of_its_joint() -> None:
-    here = workspace()
+    here = problem()
     slots = fitting.slots_of(THREE)
     for slot in slots:
         low, high = list(THREE), list(THREE)
@@ -159,15 +159,15 @@ def test_a_derivative_depends_on_the_effects_of_its_joint() -> None:
 
 
 def test_at_an_optimum_one_step_is_tried() -> None:
-    best = fit(workspace(), THREE)
+    best = fit(problem(), THREE)
     for _ in range(4):
-        best = fit(best.workspace, best.effects)
+        best = fit(best.problem, best.effects)
 
     def tried() -> int:
-        return sum(key[0] == "residual" for key in best.workspace._recent._values)
+        return sum(key[0] == "residual" for key in best.problem._recent._values)
 
     before = tried()
-    again = fit(best.workspace, best.effects)
+    again = fit(best.problem, best.effects)
     assert tried() <= before + 1
     assert again.energy == pytest.approx(best.energy, abs=2.0 * fitting.CONVERGED + 2e-6 * best.energy)
 
@@ -185,20 +185,20 @@ def test_a_trace_on_rounded_numbers_is_hardly_another() -> None:
 
 def test_every_few_samples_tell_what_a_load_does_to_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     load = [effect("payload", "elbow", mass=1.0, position=(0.3, 0.0, 0.0))]
-    scale = workspace().torque_scale[[row.joint for row in workspace().balances.rows]]
+    scale = problem().torque_scale[[row.joint for row in problem().balances.rows]]
 
     def deviation() -> np.ndarray:
-        return whitening.make(workspace().balances, scale, load).deviation
+        return whitening.make(problem().balances, scale, load).deviation
 
     few = deviation()
     monkeypatch.setattr(whitening, "MASSES", 10**9)
     assert few == pytest.approx(deviation(), rel=0.005)
-    assert np.max(np.abs(few / workspace().whitening.deviation - 1.0)) > 0.05
+    assert np.max(np.abs(few / problem().whitening.deviation - 1.0)) > 0.05
 
 
 def test_residuals_are_made_of_what_changes() -> None:
     """Joint by joint against the nominal model's, or all balances at once."""
-    here = workspace()
+    here = problem()
     effects = [
         effect("backlash", "elbow", gap=0.004),
         effect("link_viscous_friction", "shoulder", coefficient=0.4),
@@ -223,9 +223,9 @@ def test_the_least_recently_used_is_forgotten_first() -> None:
 
 def test_products_are_those_of_weighted_columns() -> None:
     """Against the formula with all columns written out: Q(a, b) = a W b - a W J' (J W J' + 1)^-1 J W b."""
-    here = workspace().at(np.array([1.0, 2.0, 3.0, 1.5, 1.0, 4.0]))
+    here = problem().at(NoiseLevel(np.array([1.0, 2.0, 3.0, 1.5, 1.0, 4.0])))
     a = np.random.default_rng(1).standard_normal((3, here.samples))
-    weights = np.repeat(1.0 / np.sqrt(here.inflation), here.time.size)
+    weights = np.repeat(1.0 / np.sqrt(here.level.inflation), here.time.size)
     columns, rows = here.J * weights, a * weights
     inner = np.linalg.solve(columns @ columns.T + np.eye(len(columns)), columns @ rows.T)
     # two ways to add up some 7000 products
@@ -234,13 +234,13 @@ def test_products_are_those_of_weighted_columns() -> None:
 
 
 def test_whitening_uses_all_of_its_matrix() -> None:
-    whitening = workspace().whitening
+    whitening = problem().whitening
     upper = np.triu(np.abs(whitening.matrix[:, :, 5]), 1)
     assert np.max(upper) <= 1e-12 * np.max(np.abs(whitening.matrix))  # what is not applied is not there
 
 
 def test_shared_numbers_are_paid_for_once() -> None:
-    here = workspace()
+    here = problem()
     y = 3.0 * here.J[4]  # what a nominal number off by three deviations leaves
     shared = SharedNumbers([here, here])
     joint = 2.0 * here.energy(y) + shared.surplus([y, y])
@@ -257,13 +257,13 @@ def test_shared_numbers_are_paid_for_once() -> None:
 def marked(candidate: Candidate) -> set[int]:
     """Balances that change with the effect at some small size."""
     sizes = {p.name: (p.null or 0.0) + min(p.step, 0.1) for p in candidate.effect.nulls if p.size == 1}
-    there = workspace().with_nominal([candidate.planned(sizes)])
-    changed = workspace().balances.changed(workspace().with_nominal([]), there)
+    there = problem().with_nominal([candidate.planned(sizes)])
+    changed = problem().balances.changed(problem().with_nominal([]), there)
     return {row for row, spectrum in changed.items() if np.any(spectrum)}
 
 
 def test_what_is_not_tried_as_a_rival_shares_no_balance_with_the_cause() -> None:
-    candidates = enumerate_candidates(workspace())
+    candidates = enumerate_candidates(problem())
     marks = {c: marked(c) for c in candidates}
     left_out = 0
     for cause in candidates:
@@ -280,7 +280,7 @@ def test_with_an_angle_missing_any_joint_may_hold_a_rival() -> None:
     joints = {}
     for sensors in ("full", "motor_only"):
         recording = as_recording(Case("crane", "rich", 41, sensors).with_causes(GAP)).between(0.0, 5.0)
-        here = Workspace(balances_of(nominal("crane"), recording))
+        here = Problem(balances_of(nominal("crane"), recording))
         own = [c for c in enumerate_candidates(here) if c.effect.name == "motor_coulomb_friction"]
         scanner = Scanner(own)
         with worker_pool([*here.shared(), *catalogue().values(), *own, scanner], 1) as processes:

@@ -15,7 +15,7 @@ from support.thorough import thorough
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.deviations import deviation_effects, judged_energy
 from flexjoint.diagnosis.regression.fit import Fit, fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Estimation, Finding, Fitted
 from flexjoint.diagnosis.search import criteria, trials
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
@@ -43,8 +43,8 @@ a hundred thousand times as much."""
 
 
 def fitted(case: Case, *causes: Planted, assumed: tuple[Planned, ...]) -> Fit:
-    workspace = Workspace(balances_of(nominal(case.robot), as_recording(case.with_causes(*causes))))
-    return fit(workspace, assumed)
+    problem = Problem(balances_of(nominal(case.robot), as_recording(case.with_causes(*causes))))
+    return fit(problem, assumed)
 
 
 def test_a_nominal_number_far_off_beside_a_large_cause_is_named() -> None:
@@ -60,12 +60,12 @@ def test_what_the_change_of_a_nominal_number_explains_is_counted_with_that_numbe
     viscous = effect("link_viscous_friction", "swing", coefficient=1.3)
     damping = effect("spring_damping", "swing", scale=1.0)
     trial = fitted(Case("lever", "rich", 5, inexact=0.02), *CAUSES, assumed=(viscous, damping))
-    without = fit(trial.workspace, trial.effects[:1])
+    without = fit(trial.problem, trial.effects[:1])
     gained = without.energy - trial.energy
 
     assert 20.0 < gained < 500.0
     assert explained(trial, without, trial.effects[1]) > 10.0 * gained
-    assert explained(trial, fit(trial.workspace, trial.effects[1:]), trial.effects[0]) > 1e5
+    assert explained(trial, fit(trial.problem, trial.effects[1:]), trial.effects[0]) > 1e5
 
 
 COGGING = Planted("cogging", "turn", {"amplitude": 0.3, "cycles": 18.0, "phase": 0.7})
@@ -78,7 +78,7 @@ def test_a_cause_that_makes_another_balance_wrong_is_none() -> None:
     case = Case("turret_exact", "slow", 3)
     nothing = fitted(case, COGGING, assumed=())
     wrong, right = (
-        replace(nothing, effects=(one,), y=nothing.workspace.residual([one])) for one in (spring, cogging)
+        replace(nothing, effects=(one,), y=nothing.problem.residual([one])) for one in (spring, cogging)
     )
 
     assert contradicted(wrong, nothing)
@@ -91,14 +91,14 @@ def test_next_to_nothing_of_a_sample_beside_a_lag_is_no_delay(monkeypatch: pytes
     monkeypatch.setitem(COUNTS, "drawn", 300)
     machine = make("drawn", 293).case
     recording, (lag,) = as_recording(machine.train()), machine.effects
-    workspace = Workspace(balances_of(load(robot_file(machine.robot)), recording))
-    without = fit(workspace, [Planned.of(lag.effect, lag.joint, dict(lag.parameters))])
+    problem = Problem(balances_of(load(robot_file(machine.robot)), recording))
+    without = fit(problem, [Planned.of(lag.effect, lag.joint, dict(lag.parameters))])
     beside = [without.effects[0], effect("torque_delay", lag.joint, delay=1e-4)]
-    trial = at_own_level(fit(workspace, beside))
+    trial = at_own_level(fit(problem, beside))
 
     assert trial.effects[1].values["delay"] < 1e-4
-    assert score(trial) < score(fit(trial.workspace, without.effects)) - 100.0
-    assert not supported(trial, fit(trial.workspace, without.effects), trial.effects[1])
+    assert score(trial) < score(fit(trial.problem, without.effects)) - 100.0
+    assert not supported(trial, fit(trial.problem, without.effects), trial.effects[1])
 
 
 @thorough
@@ -150,7 +150,7 @@ def test_a_gain_that_a_nominal_stiffness_hides_is_no_contradiction() -> None:
     named = effect("torque_sensor_gain", "turn", gain=0.03)
     right = fitted(Case("turret", "rich", 3), gain, stiffer, assumed=(named,))
 
-    assert not contradicted(right, fit(right.workspace, []))
+    assert not contradicted(right, fit(right.problem, []))
 
 
 def test_states_see_no_noise() -> None:
@@ -159,12 +159,12 @@ def test_states_see_no_noise() -> None:
     effect = Planned.of("spring_hysteresis", "turn", loop)
     left = []
     for with_twin in (True, False):
-        workspace = fitted(
+        problem = fitted(
             Case("turret_exact", "slow", 5), Planted("spring_hysteresis", "turn", loop), assumed=()
-        ).workspace
+        ).problem
         if not with_twin:
-            workspace.balances.chains.denoised = None
-        left.append(workspace.energy(workspace.residual([effect])) - workspace.noise_energy)
+            problem.balances.chains.denoised = None
+        left.append(problem.energy(problem.residual([effect])) - problem.noise_energy)
 
     assert left[0] < 0.3 * left[1]
 
@@ -173,10 +173,10 @@ def test_states_follow_a_record_from_its_start() -> None:
     """Not from the first sample that is used, where a spring that carries a load is on its way."""
     loop = {"level": 4.86, "scale": 0.002}
     crane = Case("crane", "rich", 5)
-    workspace = fitted(crane, Planted("spring_hysteresis", "shoulder", loop), assumed=()).workspace
+    problem = fitted(crane, Planted("spring_hysteresis", "shoulder", loop), assumed=()).problem
     # where the deflection turns its filtered path leaves something; one begun late leaves five times more
     effect = Planned.of("spring_hysteresis", "shoulder", loop)
-    assert workspace.energy(workspace.residual([effect])) < 2.0 * workspace.noise_energy
+    assert problem.energy(problem.residual([effect])) < 2.0 * problem.noise_energy
 
 
 def test_a_nominal_number_is_a_cause_beyond_its_tolerance() -> None:
@@ -189,15 +189,15 @@ def test_a_nominal_number_is_a_cause_beyond_its_tolerance() -> None:
         right = fitted(
             Case("turret", "rich", 3), Planted("motor_viscous_friction", "turn", more), assumed=(guess,)
         )
-        assert supported(right, fit(right.workspace, []), right.effects[0]) is named
+        assert supported(right, fit(right.problem, []), right.effects[0]) is named
 
 
 def test_a_law_finer_than_the_sensors_see_is_a_simpler_one() -> None:
     """A loop that is through before an encoder shows any motion is dry friction."""
-    workspace = fitted(Case("turret", "rich", 3), assumed=()).workspace
+    problem = fitted(Case("turret", "rich", 3), assumed=()).problem
     for scale, simpler in ((3e-3, False), (5e-6, True)):
         law = effect("dahl_friction", "turn", level=0.4, scale=scale)
-        assert degenerate(workspace, law) is simpler
+        assert degenerate(problem, law) is simpler
 
 
 def test_a_shape_that_may_be_anything_is_not_named() -> None:
@@ -217,7 +217,7 @@ def test_what_cannot_matter_is_not_fitted() -> None:
         for offset in (2e-4, 0.2)
     )
     for nothing, matters in ((small, False), (large, True)):
-        candidates = [c for c in enumerate_candidates(nothing.workspace) if c.effect.name == "torque_offset"]
+        candidates = [c for c in enumerate_candidates(nothing.problem) if c.effect.name == "torque_offset"]
         scored = next(s for s in Scanner(candidates).scan(nothing) if s.candidate.joint == "turn")
         assert might_matter(nothing, scored) is matters
 
@@ -265,12 +265,12 @@ def test_a_stiffness_acts_on_the_deflection_that_an_effect_leaves(causes: tuple[
     assumed = tuple(Planned.of(c.effect, str(c.joint), dict(c.parameters)) for c in causes)
     right = fitted(Case("lever", "rich", 3), *causes, stiffer, assumed=assumed)
 
-    assert right.energy < 1.2 * right.workspace.noise_energy
+    assert right.energy < 1.2 * right.problem.noise_energy
 
 
 def test_a_law_names_no_torque_that_it_does_not_show() -> None:
     """A bump of friction below the speeds that the data resolve may have any height."""
-    still = fitted(Case("turret", "rich", 3), assumed=()).workspace
+    still = fitted(Case("turret", "rich", 3), assumed=()).problem
     bump = effect("stribeck_friction", "turn", level=0.0, static_extra=10.0, velocity=0.0014)
     friction = effect("stribeck_friction", "turn", level=0.3, static_extra=0.2, velocity=0.1)
 
@@ -295,13 +295,13 @@ def test_numbers_that_no_machine_has_are_no_error() -> None:
     turret = nominal("turret")
     floating = replace(turret, file=turret.file.model_copy(update={"offsets": "per_recording"}))
     recording = as_recording(Case("turret", "rich", 3).with_causes())
-    workspace = Workspace(balances_of(floating, recording))
-    absurd = 1e4 * np.ones(len(workspace.nuisance))
+    problem = Problem(balances_of(floating, recording))
+    absurd = 1e4 * np.ones(len(problem.nuisance))
 
     assert all(
-        np.isfinite(e.values["offset"]) for e in deviation_effects(workspace, absurd) if "offset" in e.values
+        np.isfinite(e.values["offset"]) for e in deviation_effects(problem, absurd) if "offset" in e.values
     )
-    assert np.isfinite(judged_energy(workspace, workspace.along(absurd), []))
+    assert np.isfinite(judged_energy(problem, problem.along(absurd), []))
 
 
 def test_a_law_is_not_named_by_what_it_adds_to_a_simpler_one_that_is_absent() -> None:
@@ -320,8 +320,8 @@ def test_a_law_is_not_named_by_what_it_adds_to_a_simpler_one_that_is_absent() ->
 
 
 def test_of_many_joints_that_are_wrong_a_cause_clears_its_own() -> None:
-    workspace = SimpleNamespace(inflation=np.full(9, 1000.0), implausibility=1.0)
-    wrong = SimpleNamespace(workspace=workspace, settings=USUAL)
+    problem = SimpleNamespace(level=NoiseLevel(np.full(9, 1000.0)))
+    wrong = SimpleNamespace(problem=problem, settings=USUAL)
     levels, own = np.full(9, 1000.0), np.arange(9) < 2
     levels[own] = 2.0
     assert trials._cleared(wrong, levels, own) == pytest.approx(np.log(500.0))
@@ -338,7 +338,7 @@ def test_the_methods_error_of_a_cause_is_in_the_balances_that_it_marks() -> None
         effect("motor_coulomb_friction", "shoulder", level=6.0),
     ]
     recording = as_recording(Case("crane", "rich", 41).with_causes()).between(0.0, 5.0)
-    trial = fit(Workspace(balances_of(nominal("crane"), recording)), effects, iterations=0)
+    trial = fit(Problem(balances_of(nominal("crane"), recording)), effects, iterations=0)
     beside = {
         e.effect.name: [b.effect.name for b in criteria._sharing_balances(trial, e)]
         for e in trial.effects[:3]
@@ -355,12 +355,12 @@ def test_where_hardly_anything_counts_a_wrong_number_is_not_the_end() -> None:
     leaves more."""
     machine = make("single", 253).case
     recording, (truth,) = as_recording(machine.train()), machine.effects
-    workspace = Workspace(balances_of(nominal(machine.robot), recording))
-    nothing = at_own_level(fit(workspace, []))
+    problem = Problem(balances_of(nominal(machine.robot), recording))
+    nothing = at_own_level(fit(problem, []))
     bare = trials.at_noise(nothing)
     assert bare is not None
     assumed = effect(truth.effect, truth.joint, level=0.5)
-    above = fit(nothing.workspace, [assumed])
+    above = fit(nothing.problem, [assumed])
     assert abs(above.effects[0].values["level"] / truth.value("level") - 1.0) > 0.04
     clearer = trials._clearer((nothing, bare, above))
     assert clearer.effects[0].values["level"] == pytest.approx(truth.value("level"), rel=0.005)
@@ -376,8 +376,8 @@ def test_a_gap_below_the_step_of_an_encoder_is_not_seen(resolution: float, seen:
         resolution=resolution,
     )
     recorded = plant(ROBOTS / "lever_exact.yaml", [], "rich", 8.0, 3, sensors)
-    workspace = Workspace(balances_of(nominal("lever_exact"), as_recording(recorded)))
+    problem = Problem(balances_of(nominal("lever_exact"), as_recording(recorded)))
 
-    assert degenerate(workspace, effect("backlash", "swing", gap=2e-4)) is not seen
-    assert not degenerate(workspace, effect("backlash", "swing", gap=6e-4))
-    assert not degenerate(workspace, effect("link_encoder_offset", "swing", offset=2e-4))  # a mean
+    assert degenerate(problem, effect("backlash", "swing", gap=2e-4)) is not seen
+    assert not degenerate(problem, effect("backlash", "swing", gap=6e-4))
+    assert not degenerate(problem, effect("link_encoder_offset", "swing", offset=2e-4))  # a mean

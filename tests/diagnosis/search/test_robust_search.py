@@ -12,11 +12,11 @@ from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import Fit, fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.robust_search import (
-    JointwiseWorkspace,
+    JointwiseProblem,
     RobustFinding,
     _on_all_joints,
     search_robustly,
@@ -32,20 +32,18 @@ TRIED = ("breakaway_friction", "torque_saturation", "motor_coulomb_friction", "f
 LATE = 3.05e-3  # s by which the KR300's link encoders read late (robots/kr300/README.md)
 
 
-def first_look(workspace: Workspace, causes: list[Planned]) -> Selection:
-    best: Fit = at_own_level(fit(workspace, causes))
-    return Selection(best, at_own_level(fit(workspace, [])), (), (), tuple(() for _ in causes))
+def first_look(problem: Problem, causes: list[Planned]) -> Selection:
+    best: Fit = at_own_level(fit(problem, causes))
+    return Selection(best, at_own_level(fit(problem, [])), (), (), tuple(() for _ in causes))
 
 
 def seen(
     robot: Robot, measured: Recording, causes: list[Planned], joints: tuple[str, ...]
 ) -> RobustFinding | None:
     """A robust search for some effects on some joints, beside what the first one named."""
-    workspace = Workspace(balances_of(robot, measured))
-    tried = [c for c in enumerate_candidates(workspace) if c.effect.name in TRIED and c.joint in joints]
-    return search_robustly(
-        robot, measured, workspace, first_look(workspace, causes), tried, lambda _s, _w: None
-    )
+    problem = Problem(balances_of(robot, measured))
+    tried = [c for c in enumerate_candidates(problem) if c.effect.name in TRIED and c.joint in joints]
+    return search_robustly(robot, measured, problem, first_look(problem, causes), tried, lambda _s, _w: None)
 
 
 def recorded_on_kr300(name: str) -> Recording:
@@ -87,30 +85,28 @@ def test_an_implausible_number_raises_the_level_of_its_own_joint_only() -> None:
     case = Case("gimbal", "rich", 5)
     robot = nominal(case.robot)
     balances = balances_of(robot, as_recording(case.with_causes()))
-    workspace = JointwiseWorkspace(balances, np.ones(len(balances.rows)))
-    k = next(i for i, n in enumerate(workspace.nuisance) if n.name == "motor_inertia")
-    off = 30.0 * workspace.J[k]  # thirty deviations: no tolerance stands for that
-    judged = workspace.at_plausible_level(workspace.whitened(workspace.nominal) + off)
-    own = np.array(
-        [robot.joint_names[r.joint] == workspace.nuisance[k].joint for r in workspace.balances.rows]
-    )
-    motor = own & np.array([r.balance == "motor" for r in workspace.balances.rows])
+    problem = JointwiseProblem(balances, np.ones(len(balances.rows)))
+    k = next(i for i, n in enumerate(problem.nuisance) if n.name == "motor_inertia")
+    off = 30.0 * problem.J[k]  # thirty deviations: no tolerance stands for that
+    judged = problem.plausible_level(problem.whitened(problem.nominal) + off)
+    own = np.array([robot.joint_names[r.joint] == problem.nuisance[k].joint for r in problem.balances.rows])
+    motor = own & np.array([r.balance == "motor" for r in problem.balances.rows])
     assert judged.inflation[motor].min() > 100.0 * judged.inflation[~own].max()
     assert judged.implausibility > 1.0
 
 
 def test_what_two_joints_are_late_by_may_be_common_to_all() -> None:
     """On recording B the delay of joint 1 does not show until the frictions of joints 2 and 3 are named."""
-    workspace = Workspace(balances_of(load("kr300"), recorded_on_kr300("rec_B")))
+    problem = Problem(balances_of(load("kr300"), recorded_on_kr300("rec_B")))
     late = [effect("sensor_delay", f"joint_{i}", delay=LATE, channel="q") for i in (2, 3)]
     frictions = [
         effect("breakaway_friction", "joint_2", level=1050.0, distance=0.006),
         effect("motor_coulomb_friction", "joint_2", level=470.0),
         effect("breakaway_friction", "joint_3", level=1340.0, distance=0.007),
     ]
-    candidates = enumerate_candidates(workspace)
-    named = at_own_level(fit(workspace, [*late, *frictions]))
-    assert on_all_joints(fit(workspace, late[:1]), candidates) == []
+    candidates = enumerate_candidates(problem)
+    named = at_own_level(fit(problem, [*late, *frictions]))
+    assert on_all_joints(fit(problem, late[:1]), candidates) == []
     *before, added = _on_all_joints(named, candidates).effects
 
     assert [e.key for e in before] == [e.key for e in named.effects]
@@ -121,9 +117,9 @@ def test_what_two_joints_are_late_by_may_be_common_to_all() -> None:
 def test_a_joint_that_is_not_late_stays_so() -> None:
     late = [Planted("sensor_delay", joint, {"delay": 0.003, "channel": "q"}) for joint in ("pan", "tilt")]
     recorded = Case("gimbal", "rich", 5).with_causes(*late)
-    workspace = Workspace(balances_of(nominal("gimbal"), as_recording(recorded)))
-    named = fit(workspace, [Planned.of(e.effect, e.joint, e.parameters) for e in late])
-    candidates = enumerate_candidates(workspace)
+    problem = Problem(balances_of(nominal("gimbal"), as_recording(recorded)))
+    named = fit(problem, [Planned.of(e.effect, e.joint, e.parameters) for e in late])
+    candidates = enumerate_candidates(problem)
     (wider,) = on_all_joints(named, candidates)
 
     assert [e.key for e in wider.effects[2:]] == [("sensor_delay", "twist")]

@@ -10,7 +10,7 @@ from support.diagnose_cases import Case, as_recording, nominal
 from flexjoint.core.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.trials import sought_again
 from flexjoint.effects import Signals, catalogue, effect
 
@@ -18,8 +18,8 @@ CREEP = Planted("spring_creep", "swing", {"stiffness": 10.0, "time_constant": 4.
 
 
 @pytest.fixture(scope="module")
-def creeping() -> Workspace:
-    return Workspace(balances_of(nominal("lever"), as_recording(Case("lever", "rich", 5).with_causes(CREEP))))
+def creeping() -> Problem:
+    return Problem(balances_of(nominal("lever"), as_recording(Case("lever", "rich", 5).with_causes(CREEP))))
 
 
 def test_a_breakaway_is_looked_for_over_the_path_of_a_joint() -> None:
@@ -37,7 +37,7 @@ def test_of_a_joint_at_rest_nothing_is_out_of_range() -> None:
     assert places == ({"distance": 1e-6},)  # the least that there is
 
 
-def test_a_shape_that_ran_away_is_sought_again(creeping: Workspace) -> None:
+def test_a_shape_that_ran_away_is_sought_again(creeping: Problem) -> None:
     away = fit(creeping, [effect("spring_creep", "swing", stiffness=10.0, time_constant=1e4)])
     lost = away.effects[0]
     assert lost.values["time_constant"] > 1000.0  # the fit itself does not find back
@@ -49,7 +49,7 @@ def test_a_shape_that_ran_away_is_sought_again(creeping: Workspace) -> None:
     assert again.effects[0].values["time_constant"] == pytest.approx(4.0, rel=0.1)
 
 
-def test_a_shape_where_it_was_looked_for_is_left_alone(creeping: Workspace) -> None:
+def test_a_shape_where_it_was_looked_for_is_left_alone(creeping: Problem) -> None:
     there = fit(creeping, [effect("spring_creep", "swing", stiffness=10.0, time_constant=1.0)])
 
     with worker_pool([creeping.shared()], 1) as one:

@@ -12,7 +12,7 @@ from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates, traces
 from flexjoint.effects import catalogue
 
@@ -21,10 +21,10 @@ def test_a_limit_is_sought_where_it_starts_however_little_it_explains() -> None:
     """A limit of two numbers is a line: with one of them scaled by what is left to explain, it would lie
     where nothing meets it, and no search finds back."""
     case = make("beyond", 95).case
-    workspace = Workspace(balances_of(nominal(case.robot), as_recording(case.train())))
+    problem = Problem(balances_of(nominal(case.robot), as_recording(case.train())))
     candidate = Candidate(catalogue()["torque_speed_limit"], "tilt")
-    lines = [t.values(np.array([0.2])) for t in traces(workspace, candidate, (), workspace.residual([]))]
-    s = workspace.signals("tilt")
+    lines = [t.values(np.array([0.2])) for t in traces(problem, candidate, (), problem.residual([]))]
+    s = problem.signals("tilt")
 
     assert len(lines) > 3
     for line in lines:
@@ -50,7 +50,7 @@ def test_a_measured_torque_has_met_its_limits(channel: str, met: bool) -> None:
     torque = recorded.get("tau_m", "swing")
     columns = {key: values for key, values in recorded.columns.items() if key[0] != "tau_m"}
     measured = replace(recorded, columns={**columns, (channel, "swing"): torque})
-    sought = {c.effect.name for c in enumerate_candidates(Workspace(balances_of(nominal("lever"), measured)))}
+    sought = {c.effect.name for c in enumerate_candidates(Problem(balances_of(nominal("lever"), measured)))}
 
     assert ({"torque_saturation", "torque_speed_limit"} & sought == set()) is met
     assert {"torque_gain", "torque_offset", "cogging"} <= sought

@@ -12,8 +12,8 @@ from support.thorough import thorough
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.regression import nuisance
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.shared_numbers import _keys
-from flexjoint.diagnosis.regression.workspace import Workspace
 from flexjoint.diagnosis.signals.jumps import jumps, unknown_shapes
 from flexjoint.diagnosis.signals.signals import Readings
 from flexjoint.recording.table import Recording
@@ -95,10 +95,10 @@ def measured(number: int) -> tuple[Robot, Recording]:
 def test_what_torques_did_between_samples_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """A healthy machine that swings at its torque limits, recorded at every eighth tick."""
     nominal, recording = measured(132)
-    workspace = Workspace(balances_of(nominal, recording))
-    assert workspace.energy(workspace.residual([])) < 1.1 * workspace.noise_energy
+    problem = Problem(balances_of(nominal, recording))
+    assert problem.energy(problem.residual([])) < 1.1 * problem.noise_energy
     monkeypatch.setattr(nuisance, "jumps", lambda readings: np.zeros_like(readings.torque))
-    certain = Workspace(balances_of(nominal, recording))
+    certain = Problem(balances_of(nominal, recording))
     assert certain.energy(certain.residual([])) > 100.0 * certain.noise_energy
 
 
@@ -106,16 +106,16 @@ def test_jumps_beside_a_gap_are_unknown_too() -> None:
     nominal, recording = measured(132)
     middle = np.abs(recording.time - recording.time.mean()) > 0.2
     gappy = make_recording(recording.time[middle], {k: v[middle] for k, v in recording.columns.items()})
-    workspace = Workspace(balances_of(nominal, gappy))
-    assert workspace.energy(workspace.residual([])) < 1.1 * workspace.noise_energy
+    problem = Problem(balances_of(nominal, gappy))
+    assert problem.energy(problem.residual([])) < 1.1 * problem.noise_energy
 
 
 def test_each_recording_has_its_own_jumps() -> None:
     nominal, recording = measured(132)
-    workspace = Workspace(balances_of(nominal, recording))
-    first, second = set(_keys(workspace, 0)), set(_keys(workspace, 1))
-    claimed = sum(number.of_the_robot for number in workspace.nuisance)
-    assert 0 < claimed < len(workspace.nuisance)
+    problem = Problem(balances_of(nominal, recording))
+    first, second = set(_keys(problem, 0)), set(_keys(problem, 1))
+    claimed = sum(number.of_the_robot for number in problem.nuisance)
+    assert 0 < claimed < len(problem.nuisance)
     assert len(first & second) == claimed
 
 

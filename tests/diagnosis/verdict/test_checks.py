@@ -11,7 +11,7 @@ from support.diagnose_cases import Case as Machine
 from support.diagnose_cases import as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection
@@ -88,14 +88,12 @@ def test_notes_say_what_the_checks_did() -> None:
     )
 
 
-def test_a_workspace_is_frozen() -> None:
-    """Another noise level is another workspace, and the first one is as it was."""
-    workspace = Workspace(
-        balances_of(nominal("lever"), as_recording(Machine("lever", "rich", 5).with_causes()))
-    )
-    before = workspace.gram.copy()
-    other = workspace.at(2.0 * workspace.inflation)
-    assert np.array_equal(workspace.gram, before) and not np.array_equal(other.gram, before)
-    for one in (workspace, other, workspace.only(workspace.time > 1.0)):
+def test_a_problem_is_frozen() -> None:
+    """Another noise level is another problem, and the first one is as it was."""
+    problem = Problem(balances_of(nominal("lever"), as_recording(Machine("lever", "rich", 5).with_causes())))
+    before = problem.gram.copy()
+    other = problem.at(NoiseLevel(2.0 * problem.level.inflation))
+    assert np.array_equal(problem.gram, before) and not np.array_equal(other.gram, before)
+    for one in (problem, other, problem.only(problem.time > 1.0)):
         with pytest.raises(AttributeError, match="frozen"):
-            one.inflation = 2.0 * one.inflation
+            one.level = other.level

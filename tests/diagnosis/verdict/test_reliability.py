@@ -11,7 +11,7 @@ from support.diagnose_cases import Case, as_recording, findings_of, nominal
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.refinement import refined
 from flexjoint.diagnosis.regression.fit import fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.verdict.reliability import followed, left_by, reliability
 from flexjoint.effects import Planned, effect
@@ -21,10 +21,10 @@ def test_a_name_is_believed_by_what_it_leaves() -> None:
     """The cause itself leaves the noise; one that follows a part of the error leaves the rest."""
     friction = Planted("motor_coulomb_friction", "turn", {"level": 0.4})
     case = Case("turret_exact", "rich", 3)
-    workspace = Workspace(balances_of(nominal(case.robot), as_recording(case.with_causes(friction))))
-    true = fit(workspace, [effect("motor_coulomb_friction", "turn", level=0.4)])
-    other = fit(true.workspace, [effect("motor_viscous_friction", "turn", coefficient=0.4)])
-    nothing = at_own_level(fit(true.workspace, []))
+    problem = Problem(balances_of(nominal(case.robot), as_recording(case.with_causes(friction))))
+    true = fit(problem, [effect("motor_coulomb_friction", "turn", level=0.4)])
+    other = fit(true.problem, [effect("motor_viscous_friction", "turn", coefficient=0.4)])
+    nothing = at_own_level(fit(true.problem, []))
     (left, share), (other_left, other_share) = (left_by(one, nothing, 0) for one in (true, other))
 
     assert left < 30.0
@@ -33,7 +33,7 @@ def test_a_name_is_believed_by_what_it_leaves() -> None:
     assert reliability(true, left, share) > 0.5
     assert reliability(other, other_left, other_share) < 0.2
     assert 0.2 < reliability(other, other_left, share) < 0.5  # so thorough a cause stays a cause
-    implausible = replace(true, workspace=true.workspace.at(true.workspace.inflation, 2.0))
+    implausible = replace(true, problem=true.problem.at(NoiseLevel(true.problem.level.inflation, 2.0)))
     assert reliability(implausible, left, share) < reliability(true, left, share)
     two, three = (replace(true, effects=count * true.effects) for count in (2, 3))
     assert reliability(two, left, share) == reliability(true, left, share)
@@ -48,9 +48,9 @@ def test_a_friction_lost_in_its_springs_noise_answers_for_what_its_link_shows() 
     noisy = {"q": 2e-3, "theta": 2e-3, "dq": 5e-3, "dtheta": 5e-3, "tau_t": 0.05}
     sensors = replace(FULL, noise=noisy, noisy_feedback=False)
     recorded = plant(ROBOTS / "lever_exact.yaml", [two], "rich", 8.0, 3, sensors)
-    workspace = Workspace(balances_of(nominal("lever_exact"), as_recording(recorded)))
-    one = fit(workspace, [effect("motor_coulomb_friction", "swing", level=0.7)])
-    left, share = left_by(one, at_own_level(fit(workspace, [])), 0)
+    problem = Problem(balances_of(nominal("lever_exact"), as_recording(recorded)))
+    one = fit(problem, [effect("motor_coulomb_friction", "swing", level=0.7)])
+    left, share = left_by(one, at_own_level(fit(problem, [])), 0)
 
     assert left > 300.0
     assert reliability(one, left, share) < 0.2
@@ -59,7 +59,7 @@ def test_a_friction_lost_in_its_springs_noise_answers_for_what_its_link_shows() 
 def believed(case: Case, planted: Planted, told: Planned, before: tuple[float, float]) -> tuple[float, float]:
     """Probability and reliability of a finding once its numbers are refined."""
     robot, recording = nominal(case.robot), as_recording(case.with_causes(planted))
-    best = at_own_level(fit(Workspace(balances_of(robot, recording)), [told]))
+    best = at_own_level(fit(Problem(balances_of(robot, recording)), [told]))
     probability, reliability = before
     doubted = [replace(f, probability=probability, reliability=reliability) for f in findings_of(best)]
     (found,) = followed(best, *refined.refine(robot, recording, best, doubted))

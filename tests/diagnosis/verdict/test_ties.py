@@ -11,7 +11,7 @@ from support.thorough import sample
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import Fit, fit
-from flexjoint.diagnosis.regression.workspace import Workspace
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.verdict.ties import ties
 from flexjoint.effects import effect
@@ -21,27 +21,27 @@ from flexjoint.effects import effect
 def friction() -> Fit:
     rubs = Planted("motor_coulomb_friction", "turn", {"level": 0.4})
     recording = as_recording(Case("turret", "rich", 3).with_causes(rubs))
-    workspace = Workspace(balances_of(nominal("turret"), recording))
-    return fit(workspace, [effect("motor_coulomb_friction", "turn", level=0.4)])
+    problem = Problem(balances_of(nominal("turret"), recording))
+    return fit(problem, [effect("motor_coulomb_friction", "turn", level=0.4)])
 
 
 def rival_of(best: Fit, error: float, share: slice) -> Fit:
     """Another law in its place that is off by some deviations of the noise in a share of the recording."""
-    workspace = best.workspace
-    y = best.y.reshape(len(workspace.balances.rows), -1).copy()
+    problem = best.problem
+    y = best.y.reshape(len(problem.balances.rows), -1).copy()
     y[0, share] += error
     other = effect("link_coulomb_friction", "turn", level=0.4)
     moved = replace(best, y=y.ravel(), effects=(other,))
-    energy = best.energy + workspace.energy(moved.y) - workspace.energy(best.y)
+    energy = best.energy + problem.energy(moved.y) - problem.energy(best.y)
     return replace(moved, judge=lambda: energy)
 
 
 def test_a_rival_that_is_worse_at_one_moment_only_is_a_tie(friction: Fit) -> None:
     (cause,) = friction.effects
-    count = friction.y.size // len(friction.workspace.balances.rows)
+    count = friction.y.size // len(friction.problem.balances.rows)
     once = rival_of(friction, 8.0, slice(count // 2, count // 2 + 12))
     always = rival_of(friction, 1.0, slice(None, None, 2))
-    negligible = USUAL.search.finer_method_error * (fit(friction.workspace, []).energy - friction.energy)
+    negligible = USUAL.search.finer_method_error * (fit(friction.problem, []).energy - friction.energy)
 
     for rival in (once, always):  # both far from chance, both within the method's error
         assert 100.0 < rival.energy - friction.energy < negligible
@@ -51,7 +51,7 @@ def test_a_rival_that_is_worse_at_one_moment_only_is_a_tie(friction: Fit) -> Non
 
 def test_a_rival_that_leaves_more_than_the_methods_error_is_none(friction: Fit) -> None:
     (cause,) = friction.effects
-    count = friction.y.size // len(friction.workspace.balances.rows)
+    count = friction.y.size // len(friction.problem.balances.rows)
     worse = rival_of(friction, 400.0, slice(count // 2, count // 2 + 12))
     assert not ties(friction, cause, [worse])
 

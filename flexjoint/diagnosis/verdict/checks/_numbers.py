@@ -16,7 +16,7 @@ def distance(
     best: Fit, finding: Finding, param: Parameter, estimation: Estimation, shapes: Sequence[Parameter]
 ) -> float:
     """Distance of a number from its absence, in standard errors that it has where some shapes are held."""
-    listed = {e.key for e in best.workspace.nominal}  # of these the change is reported
+    listed = {e.key for e in best.problem.nominal}  # of these the change is reported
     null = 0.0 if finding.planned.key in listed else param.null
     if null is None or not isinstance(finding.parameters[param.name], Fitted):
         return 0.0

@@ -30,7 +30,7 @@ class KnownName(Check[Case]):
                 alone = len(rival.effects) == len(best.effects)
                 if known and alone and ties(best, planned, [rival], selection.explains.get(planned.key)):
                     named = given_way(selection, k, rival, at_own_level(rival))
-                    own = fit(named.best.workspace, [*named.best.effects[:-1], planned])
+                    own = fit(named.best.problem, [*named.best.effects[:-1], planned])
                     last = tuple(sorted((*named.rivals[-1], own), key=score))
                     named = replace(named, rivals=(*named.rivals[:-1], last))
                     why = f"it is known as {other}, which fits as well"

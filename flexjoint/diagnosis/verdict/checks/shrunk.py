@@ -18,7 +18,7 @@ class ShrunkLaw(Check[Case]):
 
     def objections(self, case: Case) -> tuple[Objection, ...]:
         best = case.selection.best
-        shrunk = next((e for e in best.effects if degenerate(best.workspace, e)), None)
+        shrunk = next((e for e in best.effects if degenerate(best.problem, e)), None)
         if shrunk is None:
             return ()
         return (Objection(shrunk, 0.0, "its law has shrunk to a simpler one or to none", simpler=True),)

@@ -59,14 +59,14 @@ def _instead(case: SimulatedCase, dropped: Planned) -> Selection | None:
     selection, best = case.selection, case.selection.best
     limits = best.settings.verdict
     k = best.effects.index(dropped)
-    bare = score(fit(best.workspace, [e for e in best.effects if e is not dropped]))
+    bare = score(fit(best.problem, [e for e in best.effects if e is not dropped]))
     for rival in selection.rivals[k][: limits.alternatives_tried]:
         joints = {j for j in (dropped.joint, rival.effects[-1].joint) if j is not None}
         if score(rival) >= bare or len(rival.effects) > len(best.effects):
             continue
         there = at_own_level(rival)
         named = there.effects[-1]
-        if degenerate(there.workspace, named):
+        if degenerate(there.problem, named):
             continue
         if certainty(there, named, standard_errors(there)[-1]) < limits.sure:
             continue
@@ -81,7 +81,7 @@ def _compared(case: SimulatedCase, best: Fit, fair: bool = False) -> Gain | None
     """A fit's simulation on held-out data; `fair`: with and without causes, each with the nominal
     numbers where it would have them."""
     nothing, known = (case.selection.nothing, None) if fair else (None, case.measured)
-    return comparison(case.robot, case.recording, case.workspace, best, known, nothing)
+    return comparison(case.robot, case.recording, case.problem, best, known, nothing)
 
 
 def _worsened(gain: Gain, joint: str, limit: float) -> bool:

@@ -30,6 +30,23 @@ UNCORRELATED = 0.05  # below it a correlation is taken to have ended: it is esti
 REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that effects move
 
 
+@dataclass(frozen=True, eq=False)
+class NoiseLevel:
+    """The variance that each balance's residual is judged against, over that of the predicted noise.
+
+    A level above 1 lets sets of effects be compared of which none is complete: what they leave counts as
+    noise. `inflation` (rows,) is the factor of each balance; `implausibility` is the part of it (a factor, 1
+    where there is none) that keeps nominal numbers from being pulled further than machines' are."""
+
+    inflation: np.ndarray
+    implausibility: float = 1.0
+
+    @classmethod
+    def predicted(cls, rows: int) -> NoiseLevel:
+        """The level of the predicted noise alone."""
+        return cls(np.ones(rows))
+
+
 @dataclass(frozen=True)
 class Moves:
     """By how much effects change the columns of some nominal numbers, and all products then."""
@@ -43,13 +60,14 @@ class Moves:
         return self.change.nbytes + self.grams.nbytes
 
 
-class Workspace:
-    """Whitened residuals and their inner products with the nominal model's tolerances marginalised.
+class Problem:
+    """A recording's regression problem: whitened residuals and their inner products, with the nominal model's
+    tolerances marginalised, at one noise level (`level`; that of the predicted noise where none is given).
 
-    Frozen: `at`, `about` and `only` give another one that shares what does not change. What is remembered
+    Frozen: `at`, `about` and `only` give another problem that shares what does not change. What is remembered
     (residuals, columns) is the same for any of them."""
 
-    def __init__(self, balances: TwinBalances) -> None:
+    def __init__(self, balances: TwinBalances, level: NoiseLevel | None = None) -> None:
         self.balances = balances
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.readings = self.motion.readings
@@ -69,8 +87,7 @@ class Workspace:
         self._columns = Columns(balances.denoised, self.whitening, self.readings)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
         self._entangled: tuple[Planned, ...] = ()  # effects beside which actuators' numbers do something else
-        self.inflation = np.ones(len(rows))
-        self.implausibility = 1.0  # the factor in `inflation` that stands for implausible nominal numbers
+        self.level = NoiseLevel.predicted(len(rows)) if level is None else level
         self.used = np.ones(self.time.size)
         self._grams = self._grams_of_rows(self.used)
         self.gram, self._gram = self._weighed()
@@ -78,10 +95,10 @@ class Workspace:
 
     def __setattr__(self, name: str, value: object) -> None:
         if vars(self).get("_frozen"):
-            raise AttributeError(f"{name}: a workspace is frozen; `at`, `about` and `only` give another one")
+            raise AttributeError(f"{name}: a problem is frozen; `at`, `about` and `only` give another one")
         super().__setattr__(name, value)
 
-    def _changed(self, **values: object) -> Workspace:
+    def _changed(self, **values: object) -> Problem:
         """A copy with some values of its own, and the products that depend on them."""
         other = copy.copy(self)
         vars(other).update(values)
@@ -134,27 +151,26 @@ class Workspace:
     def _weighed(self) -> tuple[np.ndarray, Any]:
         """(k, k) products of the nominal numbers' columns with their priors, and their Cholesky factor."""
         # J is never stored weighted, for its size
-        gram = np.tensordot(1.0 / self.inflation, self.moves.grams, 1) + np.eye(len(self._plain))
+        gram = np.tensordot(1.0 / self.level.inflation, self.moves.grams, 1) + np.eye(len(self._plain))
         return gram, cho_factor(gram)
 
     @property
     def weights(self) -> np.ndarray:
-        """(samples,) by which a residual is multiplied at these variances; 0 where it is not used."""
-        return np.outer(1.0 / np.sqrt(self.inflation), self.used).ravel()
+        """(samples,) by which a residual is multiplied at this noise level; 0 where it is not used."""
+        return np.outer(1.0 / np.sqrt(self.level.inflation), self.used).ravel()
 
     @property
     def squares(self) -> np.ndarray:
         """(samples,) squares of the weights."""
-        return np.outer(1.0 / self.inflation, self.used).ravel()
+        return np.outer(1.0 / self.level.inflation, self.used).ravel()
 
-    def at(self, inflation: np.ndarray, implausibility: float = 1.0) -> Workspace:
-        """The same workspace with each balance's variance taken as `inflation` (rows,) times the predicted
-        noise: for comparing models of which none is complete."""
-        return self._changed(inflation=inflation, implausibility=implausibility)
+    def at(self, level: NoiseLevel) -> Problem:
+        """The same problem at another noise level."""
+        return self._changed(level=level)
 
-    def about(self, effects: Sequence[Planned]) -> Workspace:
-        """The same workspace with the nominal numbers' columns taken where these effects, beyond the nominal
-        model's, are at work (`nuisance.entangles`)."""
+    def about(self, effects: Sequence[Planned]) -> Problem:
+        """The same problem with the nominal numbers' columns evaluated with these effects, beyond the
+        nominal model's, at work (`nuisance.entangles`)."""
         entangled = self._columns.entangled(self.with_nominal(effects))
         if not entangled and not self._entangled:
             return self
@@ -168,39 +184,42 @@ class Workspace:
         return Moves(numbers, change, self._moved_grams(numbers, columns) if changed else self._grams)
 
     def shared(self) -> list[object]:
-        """What this workspace has in common with all others of its recording."""
+        """What this problem has in common with all others of its recording."""
         return [one for one in (*vars(self).values(), *self.nominal) if not isinstance(one, (int, float))]
 
-    def only(self, used: np.ndarray) -> Workspace:
-        """The same workspace with only some samples (bool, as many as `time`) counted."""
+    def only(self, used: np.ndarray) -> Problem:
+        """The same problem with only some samples (bool, as many as `time`) counted."""
         counted = used.astype(float)
         return self._changed(used=counted, _grams=self._grams_of_rows(counted), _moves=LruCache())
 
-    def at_free_level(self, y: np.ndarray) -> Workspace:
-        """The workspace at the variances that a residual y shows once the nominal numbers have explained what
-        they can, plausible or not."""
-        here = self.at(np.ones_like(self.inflation))
+    def free_level(self, y: np.ndarray) -> NoiseLevel:
+        """The noise level that a residual y shows, where the nominal numbers explain all that they can,
+        implausible values included."""
+        here = self.at(NoiseLevel.predicted(len(self.balances.rows)))
         for _ in range(LEVEL_ROUNDS):
-            levels = here.levels(y)
-            if np.all(levels <= 1.02 * here.inflation):
+            variances = here.variances(y)
+            if np.all(variances <= 1.02 * here.level.inflation):
                 break
-            here = here.at(np.maximum(levels, here.inflation))
-        return here
+            here = here.at(NoiseLevel(np.maximum(variances, here.level.inflation)))
+        return here.level
 
-    def at_plausible_level(self, y: np.ndarray) -> Workspace:
-        """The workspace at the variances that a residual y shows once the nominal numbers have explained
-        what they plausibly can; correlated leftovers count as the few independent samples they are."""
+    def plausible_level(self, y: np.ndarray) -> NoiseLevel:
+        """The noise level that a residual y shows, where the nominal numbers explain only what plausible
+        values can: the level is raised until none of them is pulled further, or too little is left to name
+        any cause."""
         limits = self.settings.regression
-        here = self.at_free_level(y)
+        here = self.at(self.free_level(y))
         while here.furthest(y) > limits.plausible and here.energy(y) > 2.0 * limits.telling:
-            here = here.at(2.0 * here.inflation, 2.0 * here.implausibility)
+            here = here.at(NoiseLevel(2.0 * here.level.inflation, 2.0 * here.level.implausibility))
         if here.energy(y) <= 2.0 * limits.telling:
-            return here
-        return here.at(np.maximum(here.inflation, here.levels(y)), here.implausibility)
+            return here.level
+        inflation = np.maximum(here.level.inflation, here.variances(y))
+        return NoiseLevel(inflation, here.level.implausibility)
 
-    def levels(self, y: np.ndarray) -> np.ndarray:
-        """(rows,) variance of what the nominal numbers leave of y, times its correlation time in samples;
-        at least 1."""
+    def variances(self, y: np.ndarray) -> np.ndarray:
+        """(rows,) variance of what the nominal numbers leave of y, in that of the predicted noise, times its
+        correlation time in samples (correlated samples count as the few independent ones that they are); at
+        least 1."""
         rest = self.rest(y).reshape(len(self.balances.rows), -1)
         count = rest.shape[1]
         longest = count // 4
@@ -350,8 +369,9 @@ class Workspace:
 
     @property
     def noise_energy(self) -> float:
-        """Energy that the predicted noise alone has at this inflation."""
-        return float(np.sum(1.0 / self.inflation)) * self.freedom / len(self.inflation)
+        """Energy that the predicted noise alone has at this noise level."""
+        inflation = self.level.inflation
+        return float(np.sum(1.0 / inflation)) * self.freedom / len(inflation)
 
     def starts(self, effect: Effect, joint: str | None) -> tuple[dict[str, float], ...]:
         """From where an effect of a joint is looked for."""
