@@ -26,8 +26,8 @@ from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.batch import closed_loops
 from flexjoint.simulation.compiled import compiled_for
+from flexjoint.simulation.compiled.engine import job_of
 from flexjoint.simulation.controllers import MotorPD, law_of
-from flexjoint.simulation.engine import job_of
 from flexjoint.simulation.options import Engine, RunOptions
 from flexjoint.simulation.rollout import closed_loop
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES

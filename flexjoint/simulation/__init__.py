@@ -1,1 +1,1 @@
-"""A reference in, a motion out: schemes, controllers, sensors, engines."""
+"""A reference in, a motion out: schemes, controllers, sensors, runs."""

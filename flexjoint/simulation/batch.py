@@ -22,10 +22,10 @@ from flexjoint.model.parameters import model_parameters, numbers, renumbered
 from flexjoint.model.springs import VariableSpring
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.compiled import CompiledModel, Job
+from flexjoint.simulation.compiled.engine import LONG, adaptive, choose
 from flexjoint.simulation.compiled.model import row_of
 from flexjoint.simulation.compiled.program import numbers_of, with_numbers
 from flexjoint.simulation.controllers import Law
-from flexjoint.simulation.engine import LONG, adaptive, choose
 from flexjoint.simulation.loop import REFERENCES, Ticks, check_references
 from flexjoint.simulation.options import DEFAULTS, RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout

@@ -27,9 +27,9 @@ from flexjoint.model.springs import VariableSpring
 from flexjoint.model.statics.standing import holding
 from flexjoint.model.statics.start import at_rest, initial_positions
 from flexjoint.simulation.compiled import CompiledModel, compiled_for
+from flexjoint.simulation.compiled.engine import LONG, adaptive, choose
 from flexjoint.simulation.compiled.live import LiveRun
 from flexjoint.simulation.controllers import gains_of, law_of, with_gain
-from flexjoint.simulation.engine import LONG, adaptive, choose
 from flexjoint.simulation.loop import REFERENCES, Runner, Ticks, segments
 from flexjoint.simulation.options import DEFAULTS, RunOptions
 from flexjoint.simulation.schemes import find

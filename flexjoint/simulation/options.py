@@ -23,7 +23,7 @@ class RunOptions:
         scheme: name of the integration scheme, one of `flexjoint.simulation.schemes.SCHEMES`.
         width: velocity [rad/s] over which dry friction is smoothed, for schemes in which it does not stick.
         engine: compiled runs the steps as C; pin runs them in Python with Pinocchio; auto compiles long runs
-            and takes pin for short ones (`flexjoint.simulation.engine`).
+            and takes pin for short ones (`flexjoint.simulation.compiled.engine`).
 
     Raises:
         UnknownNameError: no such scheme or engine.

@@ -8,8 +8,8 @@ import numpy as np
 
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.simulation.compiled import CompiledModel
+from flexjoint.simulation.compiled.engine import adaptive, choose, job_of
 from flexjoint.simulation.controllers import Law
-from flexjoint.simulation.engine import adaptive, choose, job_of
 from flexjoint.simulation.loop import REFERENCES, Runner, Ticks, check_references, check_torque
 from flexjoint.simulation.options import DEFAULTS, RunOptions
 from flexjoint.simulation.schemes import find

@@ -17,7 +17,7 @@ from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.statics.standing import Standing, standing
 from flexjoint.robot import schema as robot_schema
 from flexjoint.robot.robot import Robot, build, load
-from flexjoint.simulation import engine
+from flexjoint.simulation.compiled import engine
 from flexjoint.simulation.controllers import law_of
 from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import RunOptions

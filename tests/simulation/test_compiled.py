@@ -21,12 +21,12 @@ from flexjoint.effects import Planned, effect
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.springs import VariableSpring
 from flexjoint.robot.robot import load, shipped_robots
-from flexjoint.simulation import engine
 from flexjoint.simulation.compiled import (
     CompiledModel,
     CompilerError,
     compiled_for,
     compiler,
+    engine,
     program,
     shared,
 )

@@ -24,8 +24,7 @@ from flexjoint.effects import effect
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.springs import VariableSpring
 from flexjoint.rigidbody.symbolic import SymbolicBody
-from flexjoint.simulation import engine
-from flexjoint.simulation.compiled import shared
+from flexjoint.simulation.compiled import engine, shared
 from flexjoint.simulation.controllers import law_of
 from flexjoint.simulation.live import KEPT, JointState, LiveSimulation
 from flexjoint.simulation.loop import REFERENCES

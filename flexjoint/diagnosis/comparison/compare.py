@@ -109,7 +109,7 @@ def compare(
     Each window starts from the measured state. It is driven by the recorded tau_m or tau_motor; through the
     robot's controller when both are absent, or `closed_loop`. A last partial window is dropped. From a
     gap of more than 5 sampling periods in the drive on, a window counts in no sum. engine: see
-    `flexjoint.simulation.engine`; auto counts the steps of all windows.
+    `flexjoint.simulation.compiled.engine`; auto counts the steps of all windows.
 
     Args:
         model: a robot, with the effects that it lists, or a model.

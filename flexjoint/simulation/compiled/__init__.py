@@ -1,4 +1,4 @@
-"""The clockwork as C: generated, compiled once per structure of a model, cached per user."""
+"""The clockwork as C: compiled once per structure of a model, cached per user; and which runs take it."""
 
 from flexjoint.simulation.compiled.compiler import CompilerError
 from flexjoint.simulation.compiled.model import CompiledModel, Job, Rows
