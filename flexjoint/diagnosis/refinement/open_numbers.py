@@ -3,50 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.nuisance import NUMBERS, inertial_directions, tolerance_of
+from flexjoint.diagnosis.regression.nuisance import NominalNumber, inertial_directions, tolerance_of
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.effects import Planned
-from flexjoint.model.parameters import DRIVE_KEYS, labels
+from flexjoint.model.parameters import labels, model_parameters
 from flexjoint.robot.robot import Robot
 
 
-@dataclass(frozen=True)
-class Number:
-    """A nominal number that the robot's tolerances leave open: a parameter by name, or a direction (10 n,) of
-    the links' inertial parameters; `spread` is one prior deviation."""
-
-    label: str
-    spread: float
-    direction: tuple[float, ...] = ()
-
-
-def open_numbers(robot: Robot, problem: Problem, offsets: Sequence[Planned]) -> list[Number]:
-    """The nominal numbers with a tolerance, as `nuisance.Columns` has them."""
-    tolerance = robot.tolerance
-    trust = {"K": tolerance.stiffness, "D": tolerance.damping, "B": tolerance.inertial}
-    trust["D_m"] = tolerance.damping
-    out: list[Number] = []
-    for joint in robot.joints:
-        for symbol in NUMBERS.values():
-            value = getattr(joint.drive, symbol)
-            if np.isfinite(value) and trust[symbol] * value > 0.0:
-                out.append(Number(f"drive.{joint.name}.{DRIVE_KEYS[symbol]}", trust[symbol] * value))
+def open_numbers(robot: Robot, problem: Problem, offsets: Sequence[Planned]) -> list[NominalNumber]:
+    """The nominal numbers with a tolerance, as `nuisance.Columns` has them, by the names of the simulation's
+    parameters; links' inertial parameters as directions."""
+    drives = model_parameters(robot, (), free=("drives",)).values()
+    out = [NominalNumber(p.name, std=p.std) for p in drives if p.std is not None and 0.0 < p.std < np.inf]
     out += _inertial_numbers(robot, problem)
     for e in robot.effects:
         spread = tolerance_of(e, robot)
         for param in e.effect.nulls:
             value = e.values.get(param.name)
             if param.size == 1 and value and np.isfinite(value) and spread > 0.0:
-                out.append(Number(labels(e, param.name, 1)[0], abs(value) * spread))
+                out.append(NominalNumber(labels(e, param.name, 1)[0], std=abs(value) * spread))
     free = problem.settings.regression.offset_deviation
-    return out + [Number(labels(e, "offset", 1)[0], free) for e in offsets]
+    return out + [NominalNumber(labels(e, "offset", 1)[0], std=free) for e in offsets]
 
 
-def _inertial_numbers(robot: Robot, problem: Problem) -> list[Number]:
+def _inertial_numbers(robot: Robot, problem: Problem) -> list[NominalNumber]:
     """The links' inertial parameters within their tolerance: as many directions as the recording shows at
     all. Their prior is the same in all directions, so that any rotation of them will do."""
     tolerance, other = robot.tolerance.inertial, problem.settings.regression.other_component
@@ -60,4 +43,4 @@ def _inertial_numbers(robot: Robot, problem: Problem) -> list[Number]:
         change[10 * at : 10 * at + 10, 10 * i : 10 * i + 10] = directions
     energy, axes = np.linalg.eigh(problem.bare_gram[np.ix_(places, places)])
     seen = np.flatnonzero(energy > problem.settings.refinement.visible)
-    return [Number("", 1.0, tuple(axes[:, k] @ change)) for k in seen[::-1]]
+    return [NominalNumber("inertial", direction=tuple(axes[:, k] @ change)) for k in seen[::-1]]

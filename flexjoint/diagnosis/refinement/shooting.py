@@ -126,7 +126,7 @@ class Shooting:
         self._values = self._symbolic[0].values.copy()
         for joint, offset in self.estimator.offsets.items():
             self._values[self.parameters.index(f"motor_encoder_offset.{joint}.offset")] = offset
-        named = {number.label for number in self.nominal if number.label}
+        named = {number.name for number in self.nominal if not number.direction}
         self.varied = list(dict.fromkeys([*self.slot_labels, *sorted(named)]))
         self.keys = [
             (channel, joint.name)
@@ -194,8 +194,8 @@ class Shooting:
         for label, value in zip(self.slot_labels, slots, strict=True):
             out[self.parameters.index(label)] = value
         for number, deviation in zip(self.nominal, deviations, strict=True):
-            if number.label:
-                out[self.parameters.index(number.label)] += deviation * number.spread
+            if not number.direction:
+                out[self.parameters.index(number.name)] += deviation * number.std
         return out
 
     # --- linearisation -----------------------------------------------------------------------------
@@ -298,8 +298,8 @@ class Shooting:
         for k, label in enumerate(self.slot_labels):
             out[self.varied.index(label), k] = 1.0
         for k, number in enumerate(self.nominal, start=len(self.slot_labels)):
-            if number.label:
-                out[self.varied.index(number.label), k] = number.spread
+            if not number.direction:
+                out[self.varied.index(number.name), k] = number.std
         return out
 
     def _loads(self, middle: np.ndarray, deviations: np.ndarray) -> np.ndarray:

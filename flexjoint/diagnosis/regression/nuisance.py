@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from typing import Any
 
@@ -25,13 +25,22 @@ JUMP_MEMORY = 1e8  # bytes of all of them: the largest ones, where there are mor
 
 
 @dataclass(frozen=True)
-class Nuisance:
-    """A nominal number: the name of its deviation, joint, and prior standard deviation (relative, or
-    absolute where the number has no scale)."""
+class NominalNumber(Parameter):
+    """A number of the nominal model that is not exactly known, as a parameter whose `std` is its prior
+    standard deviation: of a balance, relative to the number (absolute where it has no scale); of a
+    simulation, in the number's unit.
 
-    name: str  # spring_stiffness | spring_damping | motor_inertia | motor_damping | inertial | ...
-    joint: str | None
-    spread: float
+    Args:
+        name: of a balance's number spring_stiffness, spring_damping, motor_inertia, motor_damping, inertial,
+            an effect's or an encoder offset's; of a simulation's, that of `model.parameters`.
+        joint: whose it is; None: of no joint.
+        direction: (10 n,) of all links' inertial parameters, where it is no single one of them.
+    """
+
+    _: KW_ONLY
+    std: float = 1.0
+    joint: str | None = None
+    direction: tuple[float, ...] = ()
 
     @property
     def becomes_effect(self) -> bool:
@@ -71,7 +80,7 @@ NUMBERS = {"spring_stiffness": "K", "spring_damping": "D", "motor_inertia": "B",
 
 
 def as_effects(
-    nuisance: Sequence[Nuisance],
+    nuisance: Sequence[NominalNumber],
     deviations: np.ndarray,
     nominal: np.ndarray,
     robot: Robot,
@@ -86,18 +95,16 @@ def as_effects(
         if number.joint is None:
             continue
         if number.name in NUMBERS:
-            change = max(-0.9, float(deviation) * number.spread)
+            change = max(-0.9, float(deviation) * number.std)
             drives.setdefault(number.joint, {})[NUMBERS[number.name]] = change
         elif number.name == "inertial":
             i = robot.joint_names.index(number.joint)
             if number.joint not in directions:
-                directions[number.joint] = iter(
-                    inertial_directions(nominal[i], number.spread, other_component)
-                )
+                directions[number.joint] = iter(inertial_directions(nominal[i], number.std, other_component))
                 added[number.joint] = np.zeros(10)
             added[number.joint] += next(directions[number.joint]) * float(deviation)
     out = [  # reading = true + offset
-        effect(n.name, n.joint, offset=float(np.clip(-d * n.spread, -TURN, TURN)))
+        effect(n.name, n.joint, offset=float(np.clip(-d * n.std, -TURN, TURN)))
         for n, d in zip(nuisance, deviations, strict=True)
         if n.name.endswith("_encoder_offset")
     ]
@@ -119,7 +126,7 @@ class Columns:
     def __init__(self, balances: Balances, whitening: Whitening, readings: Readings) -> None:
         self.balances, self.whitening, self._readings = balances, whitening, readings
         self.motion, self.robot = balances.motion, balances.motion.robot
-        self.nuisance: list[Nuisance] = []
+        self.nuisance: list[NominalNumber] = []
         self._recent: LruCache[Band] = LruCache()
         self._directions: dict[int, np.ndarray] = {}  # (10,) of a link's parameters, by number
         self._jumps: list[Unknown] = []
@@ -145,7 +152,7 @@ class Columns:
             for name, spectrum in shaft.items():
                 if self._row(MOTOR, i) is not None:
                     columns.append(self._column({(MOTOR, i): -spreads[name] * spectrum}))
-                    self.nuisance.append(Nuisance(name, joint.name, spreads[name]))
+                    self.nuisance.append(NominalNumber(name, joint=joint.name, std=spreads[name]))
             if joint.rigid:
                 continue
             for name, spectrum, spread in (
@@ -154,7 +161,7 @@ class Columns:
             ):
                 change = spread * spectrum
                 columns.append(self._column({(MOTOR, i): -change, (LINK, i): change, (SPRING, i): -change}))
-                self.nuisance.append(Nuisance(name, joint.name, spread))
+                self.nuisance.append(NominalNumber(name, joint=joint.name, std=spread))
         return columns
 
     def _inertial_columns(self) -> list[np.ndarray]:
@@ -170,7 +177,7 @@ class Columns:
             for direction in inertial_directions(nominal, tolerance, other):
                 columns.append(self._column(self._load_rows(self.balances.inertial_torque(i, direction))))
                 self._directions[len(self.nuisance)] = direction
-                self.nuisance.append(Nuisance("inertial", joint.name, tolerance))
+                self.nuisance.append(NominalNumber("inertial", joint=joint.name, std=tolerance))
         return columns
 
     def _effect_columns(self) -> list[np.ndarray]:
@@ -186,7 +193,7 @@ class Columns:
                 moved = e.with_values({param.name: value * (1.0 + spread)})
                 changed = self.balances.changed(base, [moved if x is e else x for x in base])
                 columns.append(self.whitening.white(self.whitening.band(changed)).ravel())
-                self.nuisance.append(Nuisance(e.effect.name, e.joint, spread))
+                self.nuisance.append(NominalNumber(e.effect.name, joint=e.joint, std=spread))
         return columns
 
     def _offset_columns(self) -> list[np.ndarray]:
@@ -200,16 +207,22 @@ class Columns:
             load = self._load_rows(limits.offset_deviation * self.motion.rigid.by_q[:, :, i].T)
             if joint.rigid:
                 columns.append(self._column(load))
-                self.nuisance.append(Nuisance("motor_encoder_offset", joint.name, limits.offset_deviation))
+                self.nuisance.append(
+                    NominalNumber("motor_encoder_offset", joint=joint.name, std=limits.offset_deviation)
+                )
                 continue
             twist = {(MOTOR, i): -stiff * unit, (LINK, i): stiff * unit, (SPRING, i): -stiff * unit}
             columns.append(self._column(twist))
-            self.nuisance.append(Nuisance("motor_encoder_offset", joint.name, limits.offset_deviation))
+            self.nuisance.append(
+                NominalNumber("motor_encoder_offset", joint=joint.name, std=limits.offset_deviation)
+            )
             back = {key: -value for key, value in twist.items()}
             for key, value in load.items():
                 back[key] = back.get(key, 0.0) + value
             columns.append(self._column(back))
-            self.nuisance.append(Nuisance("link_encoder_offset", joint.name, limits.offset_deviation))
+            self.nuisance.append(
+                NominalNumber("link_encoder_offset", joint=joint.name, std=limits.offset_deviation)
+            )
         return columns
 
     def _jump_columns(self) -> list[np.ndarray]:
@@ -238,7 +251,7 @@ class Columns:
             axes = axes[:, energy > limits.least_jump**2]
             columns += list(axes.T @ each)
             self._jumps.append(Unknown(i, when, pairs, axes))
-        self.nuisance += [Nuisance(JUMP, None, 1.0)] * len(columns)
+        self.nuisance += [NominalNumber(JUMP)] * len(columns)
         return columns
 
     def _pair_column(self, i: int, k: int, pair: np.ndarray) -> np.ndarray:
@@ -274,9 +287,9 @@ class Columns:
                     out[k] = self.whitening.white(self._recent.get(key, make, REMEMBERED)).ravel()
         return out
 
-    def _beside(self, own: Sequence[Planned], joint: str, number: Nuisance) -> Band:
+    def _beside(self, own: Sequence[Planned], joint: str, number: NominalNumber) -> Band:
         """Trace of a joint's number beside effects of that joint, before it is whitened."""
-        off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: STEP * number.spread}
+        off = {**dict.fromkeys(NUMBERS.values(), 0.0), NUMBERS[number.name]: STEP * number.std}
         changed = self.balances.changed(own, [*own, Planned(DriveDeviation(), joint, off)])
         return self.whitening.band({row: spectrum / STEP for row, spectrum in changed.items()})
 

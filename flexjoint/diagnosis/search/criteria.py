@@ -313,7 +313,7 @@ def tolerated(problem: Problem, added: Planned) -> bool:
         return False
     number, (param,) = problem.nuisance[k], added.effect.nulls
     damping = problem.robot.joint(str(number.joint)).drive.D_m if number.name == "motor_damping" else 1.0
-    return bool(abs(added.values[param.name]) <= problem.settings.search.tolerated * number.spread * damping)
+    return bool(abs(added.values[param.name]) <= problem.settings.search.tolerated * number.std * damping)
 
 
 def shared_by_tolerances(trial: Fit, without: Fit, added: Planned) -> bool:
@@ -332,7 +332,7 @@ def own_number(problem: Problem, added: Planned) -> int | None:
     for k, number in enumerate(problem.nuisance):
         name = "motor_viscous_friction" if number.name == "motor_damping" else number.name
         nominal = number.name in NUMBERS or number.name.endswith("_encoder_offset")
-        if nominal and number.spread > 0.0 and (name, number.joint) == added.key:
+        if nominal and number.std > 0.0 and (name, number.joint) == added.key:
             return k
     return None
 

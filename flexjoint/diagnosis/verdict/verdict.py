@@ -186,7 +186,7 @@ def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
             or (number.name, number.joint) in found
         ):
             continue
-        change = float(value) * number.spread
+        change = float(value) * number.std
         name = number.name
         if name == "motor_damping":
             name, change = "motor_viscous_friction", change * problem.robot.joint(number.joint).drive.D_m
