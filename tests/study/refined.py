@@ -48,7 +48,7 @@ def measured(case: StudyCase) -> tuple[list[Number], str]:
     planned = [Planned.of(p.effect, p.joint, dict(p.parameters), since=p.since) for p in case.case.effects]
     best = at_own_level(fit(problem, planned))
     first = _findings(best)
-    found, estimation = refined.refine(nominal, recording, best, first)
+    found, estimation = refined.refine(best, first)
     out = []
     for slot in best.slots:
         truth = case.case.effects[slot.effect].parameters.get(slot.param.name)

@@ -120,6 +120,17 @@ def compare(
     if not isinstance(model, FlexibleJointModel):
         model = FlexibleJointModel(robots.expect(model, "compare"))
     recording = on_regular_clock(tables.expect(recording, "compare"))
+    return compared(model, recording, horizon, closed_loop, engine)
+
+
+def compared(
+    model: FlexibleJointModel,
+    recording: Recording,
+    horizon: float = HORIZON,
+    closed_loop: bool = False,
+    engine: Engine = "auto",
+) -> Comparison:
+    """`compare`, of a recording that is on its regular clock already, as that of `Readings` is."""
     begin, period = recording.time[0], recording.period
     windows = int(np.floor((recording.duration + period) / horizon + 1e-6)) if horizon > 0 else 0
     if windows < 1:

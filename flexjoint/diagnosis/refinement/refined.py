@@ -20,12 +20,10 @@ from flexjoint.robot.robot import Robot
 from flexjoint.simulation.simulate import torque_channel
 
 
-def refine(
-    robot: Robot, recording: Recording, best: Fit, found: Sequence[Finding], workers: int = 1
-) -> tuple[tuple[Finding, ...], Estimation]:
+def refine(best: Fit, found: Sequence[Finding], workers: int = 1) -> tuple[tuple[Finding, ...], Estimation]:
     """Findings with the numbers of their effects refined on the simulation, or as they are where that does
     not serve: the estimation says which, and why. So many `workers` (processes) share the simulations."""
-    refinement = _begun(robot, recording, best, workers)
+    refinement = _begun(best, workers)
     why, follows = refinement if isinstance(refinement, str) else "", False
     if not isinstance(refinement, str):
         try:
@@ -63,7 +61,7 @@ def _known_better(best: Fit, estimate: Estimate) -> str:
     return ""
 
 
-def _begun(robot: Robot, recording: Recording, best: Fit, workers: int) -> Refinement | str:
+def _begun(best: Fit, workers: int) -> Refinement | str:
     """A refinement on windows as long as the simulation stays with the readings, or why there is none.
 
     A long window tells slow torques from noise (a torque moves a link by the square of the time), but what
@@ -71,13 +69,13 @@ def _begun(robot: Robot, recording: Recording, best: Fit, workers: int) -> Refin
     third.
     """
     limits = best.settings.refinement
-    why = _unfit(robot, recording)
+    why = _unfit(best.problem.robot, best.problem.readings.recording)
     if why:
         return why
     chosen: Refinement | None = None
     try:
         for seconds in limits.window_lengths:
-            trial = _trial(robot, recording, best, seconds, workers)
+            trial = _trial(best, seconds, workers)
             if trial is None:
                 break
             if chosen is not None and not _better(trial, chosen):
@@ -103,15 +101,13 @@ def _unfit(robot: Robot, recording: Recording) -> str:
     return ""
 
 
-def _trial(robot: Robot, recording: Recording, best: Fit, seconds: float, workers: int) -> Refinement | None:
+def _trial(best: Fit, seconds: float, workers: int) -> Refinement | None:
     """A refinement on windows of this length; with the noise of the motor torques where without it the
     residual is more than the sensors' noise. None: too few windows."""
     limits = best.settings.refinement
     trial: Refinement | None = None
     for disturbed in (False, True):
-        shooting = Shooting(
-            robot, recording, best.problem, best.effects, best.slots, seconds, disturbed, workers
-        )
+        shooting = Shooting(best.problem, best.effects, best.slots, seconds, disturbed, workers)
         if len(shooting.windows) < limits.fewest_windows:
             return None
         trial = Refinement(shooting, best)

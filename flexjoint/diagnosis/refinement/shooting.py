@@ -27,8 +27,6 @@ from flexjoint.effects import Planned, effect
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.parameters import labels
 from flexjoint.model.symbolic import SymbolicModel
-from flexjoint.recording.clock import on_regular_clock
-from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.loop import physics_rate
 from flexjoint.simulation.simulate import torque_over
@@ -77,7 +75,7 @@ class Reduced:
 
 
 class Shooting:
-    """Windows of a recording against a set of effects.
+    """Windows of a problem's recording against a set of effects.
 
     Args:
         seconds: length of a window.
@@ -88,8 +86,6 @@ class Shooting:
 
     def __init__(
         self,
-        robot: Robot,
-        recording: Recording,
         problem: Problem,
         effects: Sequence[Planned],
         slots: Sequence[Slot],
@@ -98,7 +94,8 @@ class Shooting:
         workers: int = 1,
     ) -> None:
         self.problem, self.seconds, self.workers = problem, seconds, workers
-        self.recording = recording = on_regular_clock(recording)
+        robot, recording = problem.robot, problem.readings.recording
+        self.recording = recording
         self.begin = float(recording.time[0])
         self.rate = physics_rate(robot)
         self.steps = 2 * max(1, round(0.5 * seconds * self.rate))  # even: see `coarse`

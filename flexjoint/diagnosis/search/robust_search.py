@@ -23,7 +23,7 @@ import numpy as np
 from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
 from flexjoint.diagnosis.balances.motion import reconstruct
-from flexjoint.diagnosis.comparison.compare import HORIZON, compare
+from flexjoint.diagnosis.comparison.compare import compared
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
@@ -33,6 +33,7 @@ from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.search.trials import on_all_joints
 from flexjoint.diagnosis.signals.signals import denoised
 from flexjoint.effects import Planned, Site
+from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
@@ -102,7 +103,7 @@ def search_robustly(
     denied = np.flatnonzero(here.readings.noise["q"] > usual).tolist()
     if not denied:
         return None
-    search = _JointSearch(robot, recording, here, candidates)
+    search = _JointSearch(here, candidates)
     best = _still_supported(at_own_level(fit(here, selection.best.effects)))
     before = search.errors(best.effects)
     if before is None:
@@ -143,22 +144,21 @@ class _Tried:
 class _JointSearch:
     """Tries the candidates of one joint after the other."""
 
-    def __init__(
-        self, robot: Robot, recording: Recording, problem: Problem, candidates: Sequence[Candidate]
-    ) -> None:
-        self.robot, self.recording, self.problem = robot, recording, problem
+    def __init__(self, problem: Problem, candidates: Sequence[Candidate]) -> None:
+        self.problem = problem
         # what a sensor shows changes no motion: the simulation cannot speak for it
         self.candidates = [c for c in candidates if c.joint is not None and c.effect.site is not Site.SENSOR]
 
     def errors(self, effects: Sequence[Planned]) -> np.ndarray | None:
         """(n,) mean NRMSE of each joint's simulated positions; None: it cannot be simulated."""
         try:
-            run = compare(self.robot.extended(effects), self.recording, horizon=HORIZON)
+            model = FlexibleJointModel(self.problem.robot.extended(effects))
+            run = compared(model, self.problem.readings.recording)
         except FlexJointError:
             return None
         sizes = [
             [run.nrmse[key] for key in (f"q.{joint}", f"theta.{joint}") if key in run.nrmse]
-            for joint in self.robot.joint_names
+            for joint in self.problem.robot.joint_names
         ]
         return np.array([np.mean(size) if size else np.nan for size in sizes])
 
@@ -176,7 +176,7 @@ class _JointSearch:
         other sets that do so clearly. Of causes that the simulation does not clearly tell apart, it is the
         one that leaves least in the balances."""
         limits = best.settings.robust_search
-        own = [c for c in self.candidates if c.joint == self.robot.joint_names[k]]
+        own = [c for c in self.candidates if c.joint == self.problem.robot.joint_names[k]]
         # an onset is sought over the whole record: by chance one fits something small
         scanned = [s for s in Scanner(own).scan(best) if s.removes >= limits.promising and s.since is None]
         found: list[_Tried] = []

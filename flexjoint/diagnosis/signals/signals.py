@@ -50,6 +50,7 @@ class Readings:
     steps: dict[str, np.ndarray]  # per channel of `noise`: (n,) step of quantised samples, or 0
     sigma: float  # [s] of the Gaussian filter
     start: float  # recording time of the first sample [s]
+    recording: Recording  # what they were made of, on its regular clock
     settings: Settings = USUAL  # of the whole diagnosis
 
     @property
@@ -105,7 +106,7 @@ def prepare(robot: Robot, recording: Recording, settings: Settings = USUAL) -> R
     return Readings(
         time, **channels, commanded=commanded, feedback=feedback,
         valid=_shrink(valid, margin(sigma, signals), period), noise=noise, steps=steps, sigma=sigma,
-        start=float(recording.time[0]), settings=settings,
+        start=float(recording.time[0]), recording=recording, settings=settings,
     )  # fmt: skip
 
 

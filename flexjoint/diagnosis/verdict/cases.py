@@ -95,7 +95,7 @@ class StatedCase(SimulatedCase):
         if self.kept:
             return self.named, refined.from_balances(best, self.kept)
         self.report(0.95, "refining the numbers on the simulation")
-        found, estimation = refined.refine(self.robot, self.recording, best, self.named, self.workers)
+        found, estimation = refined.refine(best, self.named, self.workers)
         return followed(best, found, estimation), estimation
 
     @property

@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compare
+from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
 from flexjoint.diagnosis.regression.fit import Fit, fit, shifts
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Gain
 from flexjoint.effects import Planned
+from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.noise import white_noise
 from flexjoint.recording.table import MEASURED, Recording
 from flexjoint.robot.robot import Robot
@@ -78,7 +79,8 @@ def comparison(
     )
 
     def measured(model: Robot) -> dict[str, Mapping[str, float]]:
-        return errors(recording, compare(model, recording, horizon=HORIZON), rows)
+        run = compared(FlexibleJointModel(model), problem.readings.recording)
+        return errors(recording, run, rows)
 
     try:
         before = measured(first) if known is None else known.before

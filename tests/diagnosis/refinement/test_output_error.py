@@ -210,20 +210,25 @@ COVERED = (
 )
 
 
-@cache
-def balanced(k: int) -> tuple[Robot, Recording, Fit]:
-    """What the diagnosis has of a case in COVERED once its cause is named."""
+def recorded(k: int) -> tuple[Robot, Recording]:
+    """The nominal robot and the recording of a case in COVERED."""
     case, planted = COVERED[k]
-    robot, recording = nominal(case.robot), as_recording(case.with_causes(planted))
-    problem = Problem(balances_of(robot, recording))
+    return nominal(case.robot), as_recording(case.with_causes(planted))
+
+
+@cache
+def balanced(k: int) -> Fit:
+    """What the diagnosis has of a case in COVERED once its cause is named."""
+    _, planted = COVERED[k]
+    problem = Problem(balances_of(*recorded(k)))
     effects = [Planned.of(planted.effect, planted.joint, dict(planted.parameters))]
-    return robot, recording, at_own_level(fit(problem, effects))
+    return at_own_level(fit(problem, effects))
 
 
 @cache
 def result(k: int) -> tuple[Finding, Estimation]:
-    robot, recording, best = balanced(k)
-    found, estimation = refined.refine(robot, recording, best, findings_of(best))
+    best = balanced(k)
+    found, estimation = refined.refine(best, findings_of(best))
     return found[0], estimation
 
 
@@ -254,7 +259,7 @@ def test_standard_errors_cover_the_truth() -> None:
 def test_errors_are_smaller_than_those_of_the_balances() -> None:
     shares = []
     for k, (_, planted) in enumerate(COVERED):
-        best = balanced(k)[2]
+        best = balanced(k)
         for name, true in planted.parameters.items():
             before = abs(float(best.effects[0].values[name]) - float(true))
             after = abs(float(result(k)[0].parameters[name].value) - float(true))
@@ -265,9 +270,9 @@ def test_errors_are_smaller_than_those_of_the_balances() -> None:
 
 
 def test_the_same_recording_gives_the_same_numbers() -> None:
-    robot, recording, best = balanced(1)
+    best = balanced(1)
 
-    again = refined.refine(robot, recording, best, findings_of(best))[0][0]
+    again = refined.refine(best, findings_of(best))[0][0]
 
     assert again.parameters == result(1)[0].parameters
 
@@ -280,7 +285,7 @@ def test_the_extended_model_holds_the_refined_numbers() -> None:
 
 def test_a_number_at_its_bound_is_reported() -> None:
     """Coulomb friction told as Stribeck's: there is no extra level to be found."""
-    best = balanced(4)[2]
+    best = balanced(4)
     values = {"level": 0.5, "static_extra": 0.0, "velocity": 0.06}
     told = fit(best.problem, [Planned.of("stribeck_friction", "turn", values)], iterations=0)
 
@@ -303,7 +308,7 @@ def test_without_the_motors_torque_the_balances_numbers_stay() -> None:
     best = fit(problem, [effect("spring_stiffness", "swing", scale=-0.2)])
     before = findings_of(best)
 
-    found, estimation = refined.refine(robot, recording, best, before)
+    found, estimation = refined.refine(best, before)
 
     assert found == before
     assert (estimation.method, estimation.why) == ("balances", "not every motor torque is recorded")
@@ -319,7 +324,7 @@ def test_a_model_that_does_not_follow_keeps_the_balances_numbers() -> None:
     best = at_own_level(fit(problem, [effect("hardening_spring", "swing", cubic=10.0)]))
     before = findings_of(best)
 
-    found, estimation = refined.refine(robot, recording, best, before)
+    found, estimation = refined.refine(best, before)
 
     assert found == before
     assert estimation.method == "balances"
@@ -332,7 +337,7 @@ def test_where_nothing_can_be_simulated_the_balances_numbers_stay(
 ) -> None:
     """From some linearisation on every window leaves the finite numbers: at the start, in the search, or when
     the error of the steps is asked for."""
-    robot, recording, best = balanced(0)
+    best = balanced(0)
     linearise, count = Shooting.linearise, 0
 
     def lost(self: Shooting, *given: object) -> list[Reduced]:
@@ -343,13 +348,13 @@ def test_where_nothing_can_be_simulated_the_balances_numbers_stay(
 
     monkeypatch.setattr(Shooting, "linearise", lost)
     before = findings_of(best)
-    found, estimation = refined.refine(robot, recording, best, before)
+    found, estimation = refined.refine(best, before)
     assert found == before
     assert estimation.why == "no window of the recording can be simulated with these numbers"
 
 
 def test_a_diagnosis_refines_unless_told_not_to() -> None:
-    robot, recording, _ = balanced(1)
+    robot, recording = recorded(1)
 
     plain, fine = (diagnose(robot, [recording], refine=refine) for refine in (False, True))
 

@@ -62,7 +62,7 @@ def believed(case: Case, planted: Planted, told: Planned, before: tuple[float, f
     best = at_own_level(fit(Problem(balances_of(robot, recording)), [told]))
     probability, reliability = before
     doubted = [replace(f, probability=probability, reliability=reliability) for f in findings_of(best)]
-    (found,) = followed(best, *refined.refine(robot, recording, best, doubted))
+    (found,) = followed(best, *refined.refine(best, doubted))
     return found.probability, found.reliability
 
 
