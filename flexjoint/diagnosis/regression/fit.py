@@ -113,6 +113,11 @@ def fit(problem: Problem, effects: Sequence[Planned], iterations: int = 12) -> F
     return Fit(problem, tuple(_wrap(current)), judge, y, jacobian, slots)
 
 
+def refit_without(result: Fit, effect: Planned) -> Fit:
+    """The set without one of its effects, the others fitted again at the same noise level."""
+    return fit(result.problem, [e for e in result.effects if e is not effect])
+
+
 def _bent(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
     """What the residual y of effects lacks of one that knows when friction holds a body whose load or spring
     is off by what the nominal numbers' tolerances take on. Implausible numbers tell nothing of that."""

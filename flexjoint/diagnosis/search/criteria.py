@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, fit, shifts
+from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.effects import Kind, Parameter, Planned, Site
@@ -300,8 +300,7 @@ def material(trial: Fit, added: Planned, gained: float) -> bool:
     left = at_own_level(trial).problem.level.inflation[touched]
     if np.all(left < trial.settings.regression.noise_decides):
         return True
-    others = [e for e in trial.effects if e is not added]
-    before = at_own_level(fit(trial.problem, others)).problem.level.inflation[touched]
+    before = at_own_level(refit_without(trial, added)).problem.level.inflation[touched]
     wrong = before > limits.wrong
     return bool(np.any(wrong) and np.mean(np.log(before[wrong] / left[wrong])) >= np.log(limits.cleared))
 

@@ -24,7 +24,7 @@ from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
 from flexjoint.diagnosis.balances.motion import reconstruct
 from flexjoint.diagnosis.comparison.compare import compared
-from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, supported
@@ -221,7 +221,7 @@ class _JointSearch:
 def _still_supported(best: Fit) -> Fit:
     """The first look's set without what was named on the word of a link encoder that is not trusted here."""
     for planned in best.effects:
-        without = fit(best.problem, [e for e in best.effects if e is not planned])
+        without = refit_without(best, planned)
         if len(best.effects) > 1 and not supported(best, without, planned):
             return _still_supported(at_own_level(without))
     return best
@@ -233,7 +233,7 @@ def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
     for wider in on_all_joints(best, candidates):
         refitted = at_own_level(wider)
         added = refitted.effects[len(best.effects) :]
-        without = [fit(refitted.problem, [e for e in refitted.effects if e is not one]) for one in added]
+        without = [refit_without(refitted, one) for one in added]
         if all(supported(refitted, less, one) for less, one in zip(without, added, strict=True)):
             return _on_all_joints(refitted, candidates)
     return best

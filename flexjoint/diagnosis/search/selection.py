@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from flexjoint.core.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Step
 from flexjoint.diagnosis.search.candidates import Candidate
@@ -218,7 +218,7 @@ def exchange(
         if again is not result:
             result = at_own_level(again)
             replaced = next(e for e in result.effects if e.key == key)
-        without = fit(result.problem, [e for e in result.effects if e is not replaced])
+        without = refit_without(result, replaced)
         needed = without.energy - result.energy
         tried = polish(without, search.scan(without, replaced), needed, search.pool)
         fits = [f for f in tried if f.effects[-1].key != key]
@@ -250,7 +250,7 @@ def containing(result: Fit, replaced: str) -> list[Fit]:
     if replaced not in added.effect.contains:
         return []
     beside = [e for e in result.effects[:-1] if e.joint == added.joint]
-    return [fit(result.problem, [e for e in result.effects if e is not other]) for other in beside]
+    return [refit_without(result, other) for other in beside]
 
 
 def united(result: Fit) -> Fit:
@@ -274,7 +274,7 @@ def prune(result: Fit) -> Fit:
     while len(result.effects) > 1:
         cheapest: Fit | None = None
         for dropped in result.effects:
-            without = fit(result.problem, [e for e in result.effects if e is not dropped])
+            without = refit_without(result, dropped)
             if not supported(result, without, dropped) and (
                 cheapest is None or score(without) < score(cheapest)
             ):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
 from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, score, supported
 from flexjoint.diagnosis.search.selection import Selection, choose
 from flexjoint.effects import Planned
@@ -15,7 +15,7 @@ def plainer(selection: Selection, shrunk: Planned) -> Selection:
     rival is worth its price."""
     best = selection.best
     k = next(k for k, e in enumerate(best.effects) if e.key == shrunk.key)
-    simplest = bare(best, best.effects[k])
+    simplest = refit_without(best, best.effects[k])
     fits = [
         r
         for r in selection.rivals[k]
@@ -48,8 +48,3 @@ def without(selection: Selection, effect: Planned) -> Selection:
         return tuple(sorted((fit(left.problem, effects) for effects in sets), key=score))
 
     return replace(selection, best=left, rivals=tuple(again(selection.rivals[k]) for k in keep))
-
-
-def bare(best: Fit, effect: Planned) -> Fit:
-    """The fit without an effect, the others fitted again at the same noise level."""
-    return fit(best.problem, [e for e in best.effects if e is not effect])

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.result import Tie
 from flexjoint.diagnosis.search.criteria import score, unexplained_energy
 from flexjoint.effects import Kind, Planned
@@ -22,7 +22,7 @@ def ties(
     if not rivals:
         return ()
     if explained is None:
-        explained = fit(best.problem, [e for e in best.effects if e is not planned]).energy - best.energy
+        explained = refit_without(best, planned).energy - best.energy
     for rival in rivals:
         other = rival.effects[-1]
         delays = [e.effect.kind is Kind.TIMING for e in (planned, other)]

@@ -1,10 +1,10 @@
 from __future__ import annotations
 
+from flexjoint.diagnosis.regression.fit import refit_without
 from flexjoint.diagnosis.search.criteria import contradicted
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
-from flexjoint.diagnosis.verdict.edits import bare
 
 
 class ContradictedByABalance(Check[Case]):
@@ -17,7 +17,7 @@ class ContradictedByABalance(Check[Case]):
 
     def objections(self, case: Case) -> tuple[Objection, ...]:
         best = case.selection.best
-        denied = next((e for e in best.effects if contradicted(best, bare(best, e))), None)
+        denied = next((e for e in best.effects if contradicted(best, refit_without(best, e))), None)
         if denied is None:
             return ()
         why = "it lowers one balance and raises another, which shows no such error"

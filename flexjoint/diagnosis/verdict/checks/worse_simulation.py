@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.regression.uncertainty import certainty, standard_errors
 from flexjoint.diagnosis.result import Gain
 from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, score
@@ -59,7 +59,7 @@ def _instead(case: SimulatedCase, dropped: Planned) -> Selection | None:
     selection, best = case.selection, case.selection.best
     limits = best.settings.verdict
     k = best.effects.index(dropped)
-    bare = score(fit(best.problem, [e for e in best.effects if e is not dropped]))
+    bare = score(refit_without(best, dropped))
     for rival in selection.rivals[k][: limits.alternatives_tried]:
         joints = {j for j in (dropped.joint, rival.effects[-1].joint) if j is not None}
         if score(rival) >= bare or len(rival.effects) > len(best.effects):
