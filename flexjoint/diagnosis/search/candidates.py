@@ -17,7 +17,7 @@ from flexjoint.diagnosis.regression.whitening import Band, Whitening
 from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Effect, Parameter, Planned, Site, catalogue
 
-UNSEEN = 1e-12  # of the largest curvature: rounding
+UNSEEN = 1e-12  # of the largest curvature: below it is rounding
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Trace:
-    """A candidate at one start: columns before they are whitened, and how amplitudes become values."""
+    """A candidate at one start: its columns before they are whitened, and how their amplitudes become
+    parameter values."""
 
     candidate: Candidate
     start: Mapping[str, Any]
@@ -59,7 +60,7 @@ class Trace:
         effect = self.candidate.effect
         out: dict[str, Any] = dict(self.start)
         if self.kind == "whole":
-            # a limit's start is kept, and the line that it is part of, not scaled
+            # the start values of a limit are kept as they are, not scaled
             scale = 1.0 if _is_limit(effect) else float(np.clip(amplitude[0], 0.1, 10.0))
             for name, size in self.trial.items():
                 out[name] = self.origin[name] + scale * (size - self.origin[name])
@@ -108,7 +109,7 @@ def visible(problem: Problem, candidate: Candidate) -> bool:
     rows = {row.balance for row in problem.balances.rows if row.joint == i}
     if effect.site is Site.SENSOR:
         return _sensed(problem, candidate, i, rows)
-    met = not problem.readings.commanded[i] and _is_limit(effect)  # a measured torque has met all limits
+    met = not problem.readings.commanded[i] and _is_limit(effect)  # a measured torque is limited already
     shown = {
         Site.COMMAND: MOTOR in rows and not met,
         Site.MOTOR: MOTOR in rows,
@@ -142,8 +143,9 @@ def _sensed(problem: Problem, candidate: Candidate, i: int, rows: set[str]) -> b
 
 
 def may_replace(candidate: Candidate, e: Planned) -> bool:
-    """Whether a candidate could leave the marks of an effect: one that acts within a joint marks the balances
-    of that joint alone, and only what acts there, or through the bodies, does so too."""
+    """Whether a candidate can take the place of an effect. An effect that acts within a joint changes the
+    balances of that joint alone: only candidates of that joint, of the robot, or of a body can explain
+    that."""
     if not acts_within_a_joint(e):
         return True
     return candidate.joint in (e.joint, None) or candidate.effect.site is Site.BODY
@@ -193,7 +195,7 @@ def _trace(
         p.name: float(p.null or 0.0) if listed is None else float(listed.values[p.name]) for p in effect.nulls
     }
 
-    # between two noises that are moved apart lies a smaller one, which is no trace of a delay
+    # noise that is shifted against itself would look like a trace of a delay: it is left out
     moved = problem.denoised_moved_band if effect.overrides("delay") else problem.moved_band
 
     def column(values: Mapping[str, Any]) -> Band:
@@ -213,7 +215,7 @@ def _trace(
 
 
 def trial_size(problem: Problem, candidate: Candidate, param: Parameter) -> float:
-    """A size at which the effect is well visible and still small: by the unit of its parameter."""
+    """A value of a parameter at which the effect is well visible and still small, by the parameter's unit."""
     limits = problem.settings.search
     scale = 1.0
     if candidate.joint is not None:
@@ -241,9 +243,9 @@ def trial_size(problem: Problem, candidate: Candidate, param: Parameter) -> floa
 
 
 def load_traces(problem: Problem, candidate: Candidate, y: np.ndarray) -> Iterator[Trace]:
-    """A change of a link's inertial parameters, as the whole recording shows it and as later parts do: the
-    residual is linear in the ten of them, so that the effect's own few parameters are found on a quadratic
-    form, without touching the signals again."""
+    """Traces of a change of a link's inertial parameters, one fitted to the whole recording and others to its
+    later parts. The residual is linear in the ten parameters, so that the few parameters of the effect are
+    found on a quadratic form, without evaluating the signals again."""
     assert candidate.joint is not None
     i = problem.robot.joint_names.index(candidate.joint)
     white, time = problem.whitening, problem.time

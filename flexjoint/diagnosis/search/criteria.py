@@ -1,8 +1,9 @@
 """What an effect must be to enter a set of causes, and to stay in it.
 
-A set is judged by its energy Q(y, y) plus a price for every effect and every number in it. An effect
-enters only when it earns more than its price, matters by the robot's own torque tolerance (or leaves
-nothing but noise), and removes more than the method's own error in the balances it touches.
+A set is judged by its energy Q(y, y) (a chi-square) plus a price for every effect and every number in it.
+An effect enters the set only if it explains more energy than its price, if its torque exceeds the robot's
+torque tolerance (or leaves nothing but noise), and if it explains more than the error that the method itself
+makes in the balances that it changes.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from flexjoint.diagnosis.regression.nuisance import NUMBERS
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.effects import Kind, Parameter, Planned, Site
 
-LEVEL_ROUNDS = 5  # of fits at the level that they leave, at most, until
-SAME_LEVEL = 0.1  # is the largest change of its logarithm
+LEVEL_ROUNDS = 5  # fits at most, each at the noise level that the last one left, until
+SAME_LEVEL = 0.1  # the logarithm of the level changes by less than this
 
 
 def price(result: Fit) -> float:
-    """Energy that a set of effects must earn, chance among joints and missing sensors aside. A number without
-    a trace explains nothing (of a payload that only moves straight, where it sits)."""
+    """Energy that a set of effects must explain at least; `score` adds what the number of joints and missing
+    sensors cost. A number that changes no residual is free (for a payload that only moves in a straight line:
+    its position on the link)."""
     limits = result.settings.search
     numbers = Counter(
         slot.effect for slot, tangent in zip(result.slots, result.tangents, strict=True) if np.any(tangent)
@@ -36,16 +38,16 @@ def price(result: Fit) -> float:
 
 
 def score(result: Fit) -> float:
-    """What is compared: energy plus price."""
+    """Energy plus price: of two sets, the one with the lower score is better."""
     limits = result.settings.search
     reconstructed = limits.price_reconstructed if result.problem.motion.missing else 0.0
-    # of so many more candidates, chance favours one by so much more
+    # the more joints, the more candidates, and the better the best of them fits by chance
     chance = limits.price_candidates * float(np.log(len(result.problem.robot.joints)))
     return result.energy + price(result) + (reconstructed + chance) * len(result.effects)
 
 
 def unexplained_energy(result: Fit) -> float:
-    """Energy that is still above the predicted noise."""
+    """Energy above that of the predicted noise."""
     return max(0.0, result.energy - result.problem.noise_energy)
 
 
@@ -62,9 +64,10 @@ def at_own_level(result: Fit) -> Fit:
 
 
 def degenerate(problem: Problem, planned: Planned) -> bool:
-    """Whether a law has shrunk to none, or to a simpler one (a shape at its bound, or unseen), has a size
-    that the data do not limit, or names a torque far beyond what its joint has and what it shows itself (a
-    bump of friction below the speeds that the data resolve)."""
+    """Whether the fitted numbers of an effect mean nothing: its size is zero; a shape parameter is at its
+    bound or below what the sensors resolve, so that a simpler law does the same; its size is at the upper
+    bound; or its torque is far above both the torques of its joint and the torque that it shows in any
+    balance (a peak of friction below the speeds that the data resolve)."""
     limits = problem.settings.search
     sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
     if all(np.all(np.ravel(size) == p.null) for size, p in sizes):
@@ -87,10 +90,11 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
 
 
 def _unseen(problem: Problem, planned: Planned, shapes: Sequence[Parameter]) -> bool:
-    """Whether a law has a length (a scale or width, not a place) below the noise of its joint's positions, or
-    sets in and has nothing above it: a shift so small is a drift of whatever the model holds. Nor is a change
-    of the deflection seen below the step of an encoder that little noise blurs; a ripple is, which returns
-    while the encoder takes many."""
+    """Whether an effect is too small for the position sensors of its joint. That is so if one of its lengths
+    (a scale or a width, not a place) is below their noise; if it sets in during the recording and its size is
+    below their noise, for then it may be a slow drift of anything else; and if it changes the deflection by
+    less than one step of an encoder whose rounding is not blurred by noise. A ripple repeats over many steps:
+    it is seen below one step, too."""
     if planned.joint is None:
         return False
     readings, k = problem.readings, problem.robot.joint_names.index(planned.joint)
@@ -112,7 +116,7 @@ def _coarsest_step(problem: Problem, k: int) -> float:
 
 
 def shown(problem: Problem, planned: Planned) -> float:
-    """[N m] the largest torque that an effect makes of any balance."""
+    """[N m] the largest torque by which an effect changes any balance."""
     balances, used = problem.balances, problem.readings.valid
     base = problem.with_nominal([])
     change = balances.changed(base, problem.with_nominal([planned]))
@@ -121,8 +125,9 @@ def shown(problem: Problem, planned: Planned) -> float:
 
 
 def supported(trial: Fit, without: Fit, added: Planned) -> bool:
-    """Whether `added`, present in `trial`, earns its price, is material and beyond the method's error: at the
-    level of `trial`, or, where nominal numbers as no machine has them would do instead, where they do not."""
+    """Whether the data support `added`, an effect of the set `trial`, against the set `without` it: it meets
+    all criteria at the noise level of `trial`. Where the set without it fits only with implausible nominal
+    numbers, it may also meet them at the lowest level at which these numbers are plausible."""
     if _supported(trial, without, added):
         return True
     if not needs_implausible(without, trial):
@@ -142,8 +147,8 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
         return False
     beside = _sharing_balances(trial, added)
     if beside:
-        # what other causes on the joint explain is known only to the method's own error, which has a shape
-        # of its own: what leaves next to nothing is not that
+        # what the other causes on the joint explain is known only up to the error of the method, and a new
+        # effect may fit that error; one that leaves next to nothing does not
         alone = fit(trial.problem, [e for e in trial.effects if e not in beside])
         if gained < _method_error(trial, gained) * (alone.energy - trial.energy):
             return False
@@ -153,9 +158,9 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
 
 
 def _between_samples(trial: Fit, added: Planned) -> bool:
-    """Whether an effect shifts a command in time by next to nothing of a sample, beside another cause of
-    timing on its joint: what a command does between two samples is not recorded, and a lag smooths it, where
-    a delay does not."""
+    """Whether an effect shifts a command in time by a small part of a sample, beside another cause of timing
+    on its joint. What a command does between two samples is not recorded; a lag smooths it and a delay does
+    not, so that the two together can imitate a shift that is not there."""
     shifts_time = added.effect.kind is Kind.TIMING and added.effect.site is Site.COMMAND
     if not shifts_time or not any(
         e is not added and e.joint == added.joint and e.effect.kind is Kind.TIMING for e in trial.effects
@@ -166,15 +171,16 @@ def _between_samples(trial: Fit, added: Planned) -> bool:
 
 
 def needs_implausible(trial: Fit, other: Fit) -> bool:
-    """Whether a set needs nominal numbers to be off as no machine's are, and further than another set does:
-    against a loud error, the price of that is low (of a motor without torque, whose inertia is none)."""
+    """Whether a set fits only with a nominal number that is implausibly far off, and further off than any
+    number of the other set. Where the error is large, such numbers cost little energy: a motor without torque
+    looks like one without inertia."""
     implausible, further = trial.settings.regression.implausible, trial.settings.search.further
     return trial.furthest > max(implausible, further * other.furthest)
 
 
 def only_by_implausible(trial: Fit, without: Fit) -> bool:
-    """Whether a set is better than another one by such numbers alone: no longer at a level at which what is
-    left does not pull them so far."""
+    """Whether a set is better than another one only because of implausible nominal numbers: at a noise level
+    at which these numbers are plausible, it is not better any more."""
     if trial.furthest <= trial.settings.regression.implausible:
         return False
     if not needs_implausible(trial, fit(trial.problem, without.effects)):
@@ -184,7 +190,8 @@ def only_by_implausible(trial: Fit, without: Fit) -> bool:
 
 
 def raised_until_plausible(result: Fit) -> Problem:
-    """The lowest level at which a fit's leftovers do not pull nominal numbers further than machines' are."""
+    """The problem at the lowest noise level at which what a fit leaves needs no implausible nominal
+    number."""
     problem = result.problem
     while problem.furthest(result.y) > result.settings.regression.plausible:
         level = problem.level
@@ -193,7 +200,7 @@ def raised_until_plausible(result: Fit) -> Problem:
 
 
 def _sharing_balances(trial: Fit, added: Planned) -> list[Planned]:
-    """The other causes on an effect's joint that mark a balance which it marks, too."""
+    """The other causes on an effect's joint that change a balance which it changes, too."""
     others = [e for e in trial.effects if e is not added and e.joint == added.joint]
     if not others:
         return []
@@ -203,7 +210,8 @@ def _sharing_balances(trial: Fit, added: Planned) -> list[Planned]:
 
 
 def _method_error(trial: Fit, gained: float) -> float:
-    """Share of what other causes on its joint explain, that a cause must explain beyond it."""
+    """Error of the method, as a share of what the other causes on its joint explain: a cause must explain
+    more."""
     limits = trial.settings.search
     left = unexplained_energy(trial)
     if trial.problem.motion.missing or gained < limits.cleared * left:
@@ -214,9 +222,10 @@ def _method_error(trial: Fit, gained: float) -> float:
 
 
 def contradicted(trial: Fit, without: Fit) -> bool:
-    """Whether what a set of effects explains beyond another leaves ten times more in a balance, beyond
-    noise: a spring's torque does not explain what its motor shows where its link does not show it. A gain
-    that a nominal number had hidden leaves more only until that number is corrected, too."""
+    """Whether the effects that `trial` has beyond `without` lower one balance and leave ten times more in
+    another one, noise aside: a spring's torque cannot explain an error that the motor's balance shows and the
+    link's does not. The nominal numbers are then corrected for both sets and the balances compared again: a
+    wrong nominal number may hide an error of an actuator's gain, and both are right only together."""
     plain = _worse(trial.problem, without.effects, trial.effects)
     return plain and _worse(
         trial.problem, [*without.effects, *shifts(without)], [*trial.effects, *shifts(trial)]
@@ -224,7 +233,7 @@ def contradicted(trial: Fit, without: Fit) -> bool:
 
 
 def _worse(problem: Problem, effects: Sequence[Planned], others: Sequence[Planned]) -> bool:
-    """Whether a set of effects leaves ten times less than others in a balance, beyond noise."""
+    """Whether, in some balance, `others` leave ten times more than `effects` do, noise aside."""
     balances, used = problem.balances, problem.readings.valid
     one, other = problem.with_nominal(effects), problem.with_nominal(others)
     change = balances.changed(one, other)
@@ -240,8 +249,9 @@ def _worse(problem: Problem, effects: Sequence[Planned], others: Sequence[Planne
 
 
 def explained(trial: Fit, without: Fit, added: Planned) -> float:
-    """Energy that `added`, present in `trial`, explains. If it is the change of a nominal number, that number
-    is held at its nominal value: far from it, it would explain the same at the price of its deviation."""
+    """Energy that `added`, an effect of `trial`, explains. If it is the change of a nominal number, the set
+    without it is taken with that number at its nominal value; otherwise the number's own deviation would
+    explain most of the same."""
     gained, problem = without.energy - trial.energy, trial.problem
     k = own_number(problem, added)
     if k is not None:
@@ -253,10 +263,10 @@ def explained(trial: Fit, without: Fit, added: Planned) -> float:
 
 
 def shown_by_motion(trial: Fit, gained: float, added: Planned) -> bool:
-    """Whether the energy that `added` earns comes from the motion: at the sensors' noise, a law of little
-    energy (a gap as wide as that noise) may earn as much from the noise that it shrinks, which it no longer
-    does along the denoised recording. One that shifts signals in time moves their noise n against the other
-    sensors' noise m: that changes the energy by chance, by 2 m dn. So does a lag, which makes it smaller."""
+    """Whether the energy that `added` explains comes from the motion and not from the sensors' noise. A law
+    of little energy (a gap as wide as the noise) may lower the energy by making the noise smaller; along the
+    denoised recording it then explains nothing. An effect that shifts signals in time moves their noise n
+    against the noise m of the other sensors, which changes the energy by chance, by 2 m dn; so does a lag."""
     limits = trial.settings.search
     problem = trial.problem
     if (
@@ -276,7 +286,7 @@ def shown_by_motion(trial: Fit, gained: float, added: Planned) -> bool:
 
 
 def _moved_noise(problem: Problem, effects: Sequence[Planned], others: Sequence[Planned]) -> float:
-    """Root of the energy that the sensors' noise gets where it is moved by other effects."""
+    """Root of the energy of the change that effects make of the sensors' noise."""
     before, after = problem.with_nominal(effects), problem.with_nominal(others)
     measured, denoised = (b.changed(before, after) for b in (problem.balances, problem.balances.denoised))
     noise = {row: spectrum - denoised[row] for row, spectrum in measured.items() if row in denoised}
@@ -285,9 +295,10 @@ def _moved_noise(problem: Problem, effects: Sequence[Planned], others: Sequence[
 
 
 def material(trial: Fit, added: Planned, gained: float) -> bool:
-    """Whether an effect's torque is beyond the tolerance for what a model does not hold. That tolerance
-    stands for errors of the model; where noise alone is left there are none, and next to none where the
-    effect clears the balances that it touches: smaller effects count there that are beyond doubt."""
+    """Whether an effect's torque is large enough to be named: above the robot's torque tolerance, which
+    stands for what no model contains. A smaller one is named if it is certain and if there is little such
+    error: nothing but noise is left in the balances that it changes, or it removes most of what was wrong
+    there."""
     limits = trial.settings.search
     if tolerated(trial.problem, added):
         return False
@@ -306,7 +317,7 @@ def material(trial: Fit, added: Planned, gained: float) -> bool:
 
 
 def tolerated(problem: Problem, added: Planned) -> bool:
-    """Whether an effect is a nominal number that is off by no more than its tolerance claims."""
+    """Whether an effect is the change of a nominal number that is within twice its tolerance."""
     k = own_number(problem, added)
     if k is None:
         return False
@@ -316,8 +327,9 @@ def tolerated(problem: Problem, added: Planned) -> bool:
 
 
 def shared_by_tolerances(trial: Fit, without: Fit, added: Planned) -> bool:
-    """Whether an effect is the change of a nominal number that need not be off by more than its tolerance
-    claims, as others are off, too. Where more than noise is left, deviations say less than they are."""
+    """Whether an effect is the change of a nominal number that is within twice its tolerance when all nominal
+    numbers may deviate together. Asked only where nothing but noise is left: at a higher noise level the
+    deviations are estimated too small."""
     k = own_number(trial.problem, added)
     if k is None or np.max(trial.problem.level.inflation) >= trial.settings.regression.noise_decides:
         return False

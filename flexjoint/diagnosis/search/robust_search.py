@@ -1,16 +1,16 @@
 """Robust search where errors are left unexplained: on real machines many things are wrong at once.
 
-The first look judges every balance at one level, which a single implausible nominal number raises for all of
-them, and both balances of a stiff joint rest on its link encoder: 0.1 mrad off times 5e6 N m/rad
-is more torque than most causes have. Here
+The usual search judges all balances at a common noise level, which a single implausible nominal number raises
+for all of them. And both balances of a stiff joint depend on its link encoder: an error of 0.1 mrad times
+5e6 N m/rad is more torque than most causes have. This search differs in five points:
 
-- what a joint's spring balance is off by counts as error of its link encoder: the sum of motor and link
-  balance, which needs no spring, then carries the weight;
-- which is done for joints whose link encoder and spring disagree by far more than the encoder's noise;
-- an implausible nominal number raises the level of its own joint's balances only;
+- what a joint's motor balance leaves counts as error of its link encoder, divided by the stiffness: then the
+  sum of motor and link balance, which contains no spring torque, decides;
+- it looks only at joints whose link encoder and spring disagree by far more than the encoder's noise;
+- an implausible nominal number raises the noise level of its own joint's balances only;
 - dry friction at rest holds no more than its level;
-- and a cause is taken on the evidence of the simulation: it must lower the error of its own joint clearly,
-  with numbers that come from the balances. A wrong cause that makes a balance small does not do that.
+- a cause needs the evidence of the simulation: with the numbers that the balances give, it must clearly lower
+  the simulated error of its own joint. A wrong cause that only makes a balance small does not do that.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ Progress = Callable[[float, str], None]
 
 
 class JointwiseProblem(Problem):
-    """A problem in which implausible nominal numbers raise the level of their own joint's balances only."""
+    """A problem in which implausible nominal numbers raise the noise level of their own joint's balances
+    only."""
 
     def __init__(self, balances: TwinBalances, deviation: np.ndarray) -> None:
         self._deviation = deviation
@@ -49,8 +50,8 @@ class JointwiseProblem(Problem):
 
     @property
     def deviation(self) -> np.ndarray:
-        """(rows,) standard deviation that the sensors' own noise has in each balance [N m]: what is left is
-        reported against that."""
+        """(rows,) standard deviation that the sensors' own noise has in each balance [N m], without the
+        errors that count as noise here: what is left is compared with this in the report."""
         return self._deviation
 
     def plausible_level(self, y: np.ndarray) -> NoiseLevel:
@@ -80,7 +81,7 @@ class JointwiseProblem(Problem):
 
 @dataclass(frozen=True)
 class RobustFinding:
-    """The selection with what the robust search found, in the problem it was found in."""
+    """The selection with the causes that the robust search found, and the problem in which it found them."""
 
     problem: Problem
     selection: Selection
@@ -95,10 +96,10 @@ def search_robustly(
     candidates: Sequence[Candidate],
     report: Progress,
 ) -> RobustFinding | None:
-    """Causes that the simulation confirms where the first look left errors unexplained; None: no more than
-    there were, or the recording cannot drive a simulation."""
+    """The selection with further causes that the simulation confirms, where the usual search left errors
+    unexplained. None: there are none, or the recording cannot drive a simulation."""
     here = _blunted(robot, recording, problem, selection.best)
-    # elsewhere the first look had all that there is
+    # at other joints the usual search had the same data
     usual = problem.settings.robust_search.disagreeing * problem.readings.noise["q"]
     denied = np.flatnonzero(here.readings.noise["q"] > usual).tolist()
     if not denied:
@@ -110,7 +111,7 @@ def search_robustly(
         return None
     rivals: dict[tuple[str, str | None], tuple[Fit, ...]] = {}
     for k in denied:
-        report(k / len(robot.joints), f"looking again at {robot.joint_names[k]}")
+        report(k / len(robot.joints), f"searching {robot.joint_names[k]} again")
         found = search.best_of(best, before, k)
         if found is None:
             continue
@@ -142,11 +143,11 @@ class _Tried:
 
 
 class _JointSearch:
-    """Tries the candidates of one joint after the other."""
+    """Tries the candidates of one joint after another."""
 
     def __init__(self, problem: Problem, candidates: Sequence[Candidate]) -> None:
         self.problem = problem
-        # what a sensor shows changes no motion: the simulation cannot speak for it
+        # an effect of a sensor changes no motion, so that the simulation is no evidence for it
         self.candidates = [c for c in candidates if c.joint is not None and c.effect.site is not Site.SENSOR]
 
     def errors(self, effects: Sequence[Planned]) -> np.ndarray | None:
@@ -172,12 +173,12 @@ class _JointSearch:
     def best_of(
         self, best: Fit, before: np.ndarray, k: int
     ) -> tuple[Fit, np.ndarray, tuple[Fit, ...]] | None:
-        """The set with the cause of joint k that lowers its simulated error most, the errors then, and the
-        other sets that do so clearly. Of causes that the simulation does not clearly tell apart, it is the
-        one that leaves least in the balances."""
+        """The set with the cause of joint k that lowers the joint's simulated error most, the errors with it,
+        and the other sets that lower it clearly. Where the simulation does not distinguish some causes
+        clearly, the one that leaves least in the balances is taken."""
         limits = best.settings.robust_search
         own = [c for c in self.candidates if c.joint == self.problem.robot.joint_names[k]]
-        # an onset is sought over the whole record: by chance one fits something small
+        # an onset is searched over the whole recording, and by chance one fits something small
         scanned = [s for s in Scanner(own).scan(best) if s.removes >= limits.promising and s.since is None]
         found: list[_Tried] = []
         for scored in scanned[: limits.tried]:
@@ -202,8 +203,9 @@ class _JointSearch:
         return chosen.fit, chosen.errors, tuple(fit(chosen.fit.problem, one.fit.effects) for one in others)
 
     def beside(self, best: Fit, before: np.ndarray, k: int) -> tuple[Fit, np.ndarray] | None:
-        """Where a dry friction was found: the set with the joint's nominal one set free, too, and the errors
-        then, if the simulation needs that. Two dry frictions of a joint are known only together."""
+        """Where a dry friction was found and the nominal model lists another one on that joint: the set in
+        which that one is fitted, too, and the errors with it, if this clearly improves the simulation. Of two
+        dry frictions on one joint, neither is known alone."""
         limits = best.settings.robust_search
         added = best.effects[-1]
         nominal = [e for e in self.problem.nominal if e.joint == added.joint and e.effect.overrides("level")]
@@ -219,7 +221,8 @@ class _JointSearch:
 
 
 def _still_supported(best: Fit) -> Fit:
-    """The first look's set without what was named on the word of a link encoder that is not trusted here."""
+    """The set of the usual search without the causes that the data no longer support here, where the link
+    encoders are trusted less."""
     for planned in best.effects:
         without = refit_without(best, planned)
         if len(best.effects) > 1 and not supported(best, without, planned):
@@ -228,8 +231,8 @@ def _still_supported(best: Fit) -> Fit:
 
 
 def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
-    """The set with what several joints are late by on all of them, where that earns its place now that the
-    other causes are in."""
+    """The set in which a timing cause of several joints is given to all joints, where the data support that
+    beside the other causes."""
     for wider in on_all_joints(best, candidates):
         refitted = at_own_level(wider)
         added = refitted.effects[len(best.effects) :]
@@ -240,7 +243,8 @@ def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
 
 
 def _blunted(robot: Robot, recording: Recording, first: Problem, best: Fit) -> Problem:
-    """The recording's balances with the link encoders' noise at what the springs' balances are off by."""
+    """The recording's problem with link encoders whose noise is as large as what the motors' balances leave,
+    divided by the stiffness."""
     balances, readings = first.balances, first.readings
     residual = balances.residual(first.with_nominal(best.effects))
     noise = np.array(readings.noise["q"], dtype=float)
@@ -256,7 +260,7 @@ def _blunted(robot: Robot, recording: Recording, first: Problem, best: Fit) -> P
         least_rest_speed=usual.balances.rest_speed,
     )
     blunt = replace(readings, noise={**readings.noise, "q": noise}, settings=replace(usual, balances=resting))
-    # an error that is no noise is not to be filtered out of what holds a body
+    # an error that is no noise must not be filtered out of the torque that a friction holds
     twins = TwinBalances(
         reconstruct(robot, blunt, recording),
         reconstruct(robot, denoised(blunt), recording),

@@ -19,10 +19,10 @@ from flexjoint.diagnosis.search.candidates import Candidate, Trace, may_replace,
 from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Planned
 
-INVISIBLE = 1e-6  # noise deviations: a trace of rounding
+INVISIBLE = 1e-6  # noise deviations: a smaller trace is rounding
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are remembered between scans
-ROUNDED = 256.0  # steps of a number's mantissa, which is 0.5 to 1
+ROUNDED = 256.0  # steps to which a number's mantissa (0.5 to 1) is rounded
 PART = 6  # candidates that are taken at a time
 BATCH = 16  # columns whose products are taken together
 
@@ -48,12 +48,12 @@ class Scored:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A trace, with its columns not yet whitened: that is quickly done, and they are smaller. Held in single
-    precision, for their number."""
+    """A trace with its columns before they are whitened, which is fast and makes them larger; kept in single
+    precision, as there are many."""
 
     trace: Trace  # without columns
     bands: tuple[Band, ...]
-    first: int  # balance in which it leaves a mark
+    first: int  # the first balance that it changes
     sight: float
 
     @property
@@ -77,12 +77,13 @@ class _Traced:
 
 @dataclass(frozen=True)
 class _Share:
-    """Candidates, by their numbers and in parts, that one of so many processes scans on top of some fits."""
+    """The candidates, by their numbers and in parts, that one of several processes scans on top of some
+    fits."""
 
     parts: tuple[tuple[int, ...], ...]
     currents: tuple[Fit, ...]
     processes: int
-    replaced: Planned | None  # scanned are only candidates that may take its place; None: all
+    replaced: Planned | None  # only candidates that may take its place are scanned; None: all
 
 
 class Scanner:
@@ -137,7 +138,7 @@ class Scanner:
     def _score_batch(
         self, batch: Sequence[_Traced], against: Sequence[_Against], best: Sequence[dict[int, Scored]]
     ) -> None:
-        """Enter the best start of each candidate of a batch, by its number, for each fit."""
+        """Enter into `best` the best start of each candidate of a batch, by its number, for each fit."""
         fixed = against[batch[0].places[0]].fixed(batch)
         settings = against[0].current.settings.search
         for place in batch[0].places:

@@ -1,5 +1,5 @@
-"""Which set of effects explains the recording: scan, fit the best, add, exchange, prune, date. What an effect
-must be to enter is said in criteria.py.
+"""Which set of effects explains the recording: scan, fit the best, add, exchange, prune, date. criteria.py
+holds the criteria that an effect must meet.
 """
 
 from __future__ import annotations
@@ -57,14 +57,15 @@ class Selection:
 
 @dataclass(frozen=True)
 class Search:
-    """What scans candidates, and the processes that share the work."""
+    """The scanner of candidates, and the processes that share the work."""
 
     scanner: Scanner
     pool: WorkerPool
 
     def scan(self, current: Fit, replaced: Planned) -> tuple[Scored, ...]:
-        """Candidates for the place of an effect. An angle that is made of the nominal model carries errors of
-        one joint to the others: there it may be any."""
+        """Candidates for the place of an effect. Where an angle was not measured but computed from the
+        nominal model, it carries errors of one joint to the others, and candidates of all joints are
+        scanned."""
         blind = bool(current.problem.motion.missing)
         return self.scanner.scan(current, self.pool, None if blind else replaced)
 
@@ -88,7 +89,8 @@ def _select(problem: Problem, search: Search, report: Progress, start: Sequence[
     best = at_own_level(fit(problem, start)) if start else nothing
     scans: list[tuple[Scored, ...]] = []  # of every set that was looked beyond
     trace: list[Step] = []
-    seen = {_keys(best)}  # a cause may enter at its own level and not stay at that of the set
+    # a cause may enter at the noise level of its own set and be dropped again at that of the whole set
+    seen = {_keys(best)}
     compared: dict[Key, frozenset[Key]] = {}  # effects with their rivals, and what was beside them then
     while True:
         best = _grown(best, search, report, seen, scans, trace)
@@ -107,7 +109,7 @@ def _select(problem: Problem, search: Search, report: Progress, start: Sequence[
                 best = pair
                 seen.add(_keys(best))
                 continue
-        if len(places) < len(best.effects):  # all rivals are to be those of the set that there is in the end
+        if len(places) < len(best.effects):  # in the end the rivals of all effects are those of the final set
             before, (best, rivals) = best, exchange(search, best, best.effects)
             trace += _exchanged(before, best)
         break
@@ -123,8 +125,8 @@ def _grown(
     scans: list[tuple[Scored, ...]],
     trace: list[Step],
 ) -> Fit:
-    """The set with causes added one by one, as long as one is better than none; sets that were `seen` are not
-    looked at again."""
+    """The set with causes added one by one, as long as the data support another one; sets that were `seen`
+    are not tried again."""
     while len(best.effects) < most_effects(best.problem):
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
@@ -154,8 +156,8 @@ def _exchanged(before: Fit, after: Fit) -> tuple[Step, ...]:
 
 
 def _best_at_own_level(best: Fit, found: Sequence[Fit]) -> Fit | None:
-    """The best of some sets, at the level that it leaves, or the next one, if there it is better than `best`
-    by implausible numbers alone."""
+    """The best of some sets at the noise level that it leaves; if it is better than `best` there only because
+    of implausible nominal numbers, the next best one. None where that is so for all."""
     waiting = list(found)
     while waiting:
         chosen = choose(waiting)
@@ -176,8 +178,8 @@ def _keys(result: Fit) -> frozenset[Key]:
 
 
 def _neighbours(result: Fit, effect: Planned) -> frozenset[Key]:
-    """The effects of a set on which the rivals of one of them depend: where it acts within its joint, those
-    on that joint, and those that act beyond theirs."""
+    """The effects of a set on which the rivals of one of them depend: all, or of an effect that acts within
+    its joint, those on that joint and those that act on other joints, too."""
     own = acts_within_a_joint(effect)
     return frozenset(
         e.key for e in result.effects if not own or e.joint == effect.joint or not acts_within_a_joint(e)
@@ -185,8 +187,7 @@ def _neighbours(result: Fit, effect: Planned) -> frozenset[Key]:
 
 
 def choose(fits: Sequence[Fit]) -> Fit:
-    """The best score; of those that differ by little against what all leave unexplained, or against what
-    filters leave of all that is explained, the plainest."""
+    """The set with the best score, or a simpler one whose score is worse by little (`granted`)."""
     best = min(fits, key=score)
     bare = best.problem.energy(best.problem.residual([]))
     close = score(best) + granted([best], bare - best.energy)
@@ -194,8 +195,9 @@ def choose(fits: Sequence[Fit]) -> Fit:
 
 
 def granted(fits: Sequence[Fit], explained: float) -> float:
-    """Energy by which a plainer set may be worse than the one of these fits (one a recording): little against
-    what they leave unexplained, or against what filters leave of all that is explained."""
+    """Energy by which a simpler set may be worse than these fits of the best set (one for each recording): a
+    small share of the energy that they leave unexplained, plus the share of the explained energy that
+    filtering makes uncertain."""
     limits = fits[0].settings.search
     share = limits.filtered_reconstructed if any(f.problem.motion.missing for f in fits) else limits.filtered
     return limits.unexplained_share * sum(unexplained_energy(f) for f in fits) + share * max(0.0, explained)
@@ -204,8 +206,8 @@ def granted(fits: Sequence[Fit], explained: float) -> float:
 def exchange(
     search: Search, result: Fit, places: Sequence[Planned]
 ) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
-    """Try other candidates in the place of some effects; keep what scores better. Also returns, for every
-    effect that stays, the fits with a rival in its place, best first."""
+    """Try other candidates in the place of some effects, and keep those that score better. Returns the set
+    and, for each of its effects, the fits with a rival in its place, best first."""
     rivals: dict[Key, tuple[Fit, ...]] = {}
     waiting = [e.key for e in places]
     exchanges = 0  # bounded, so that two equals do not alternate for ever
@@ -237,7 +239,7 @@ def exchange(
 
 
 def _still_better(refitted: Fit, result: Fit) -> bool:
-    """Whether a set with another effect in it is better than a `result` at its own level, too."""
+    """Whether a set with one effect exchanged is better than `result` at its own noise level, too."""
     if degenerate(refitted.problem, refitted.effects[-1]):
         return False
     return choose([fit(refitted.problem, result.effects), refitted]) is refitted
@@ -245,7 +247,8 @@ def _still_better(refitted: Fit, result: Fit) -> bool:
 
 def containing(result: Fit, replaced: str) -> list[Fit]:
     """Where the last effect of a set contains the `replaced` one as a special case: the set without each
-    other effect of that joint, whose part it may play too (two levels are a Coulomb level and an offset)."""
+    other effect of that joint in turn, which the wider effect may make unnecessary (a friction with two
+    levels is Coulomb friction and an offset)."""
     added = result.effects[-1]
     if replaced not in added.effect.contains:
         return []
@@ -254,8 +257,8 @@ def containing(result: Fit, replaced: str) -> list[Fit]:
 
 
 def united(result: Fit) -> Fit:
-    """The set without effects that another one of the same joint contains as a special case, where that one
-    does as well alone."""
+    """The set without effects that are special cases of another one on the same joint, where that one alone
+    scores better."""
     for wide in result.effects:
         for narrow in result.effects:
             if narrow.joint != wide.joint or narrow.effect.name not in wide.effect.contains:
@@ -269,7 +272,7 @@ def united(result: Fit) -> Fit:
 
 
 def prune(result: Fit) -> Fit:
-    """Drop, one by one, the effects that are not worth keeping beside the others."""
+    """Drop, one by one, the effects that the data do not support beside the others."""
     result = united(result)
     while len(result.effects) > 1:
         cheapest: Fit | None = None

@@ -2,11 +2,12 @@
 
 Every recording is searched by itself. What they propose, their chosen sets and the rivals of each cause, is
 then fitted to each of them; near its own optimum a recording's residual is linear, so the numbers common to
-all follow (shared_numbers.py), and the set's energy is the sum of what each recording has to say against
-them, with deviations of the nominal numbers that are common to all, too. The price of a set is paid once: a
-cause that only one recording wants must earn it from that one alone, and two that tie in one are parted by
-another. Where the recordings do not agree on the numbers, each may have its own, at their price: that is
-said, those of the first are reported, and the standard errors grow.
+all follow (shared_numbers.py). The energy of the set is the sum over all recordings, with deviations of the
+nominal numbers that are common to all, too. The price of a set is paid once: a cause that only one recording
+shows must explain that price in this recording alone, and two causes that fit one recording equally well are
+distinguished by another one. Where the recordings disagree on the numbers, each may have its own, at the
+price of so many more numbers: a note says so, those of the first recording are reported, and the standard
+errors grow.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ Names = frozenset[tuple[object, ...]]
 
 @dataclass(frozen=True)
 class Together:
-    """The common set as the first recording sees it, standard errors of its numbers from all recordings, by
-    effect and parameter, and what is to be said about it."""
+    """The common set, fitted to the first recording; standard errors of its numbers from all recordings, by
+    effect and parameter; and notes about it."""
 
     selection: Selection
     errors: dict[Key, Errors]
@@ -59,8 +60,8 @@ class _Joint:
 
 
 def combine(selections: Sequence[Selection]) -> Together:
-    """The best set for all recordings among those that any of them proposes. Effects that set in during a
-    recording belong to it: those of the first stay with the first."""
+    """The best set for all recordings, among those that any of them proposes. An effect that sets in during a
+    recording is a cause of that recording only: those of the first recording are kept for it."""
     proposals = _proposals(selections)
     joints = {key: _fitted(selections, effects) for key, effects in proposals.items()}
     first = selections[0]
@@ -91,8 +92,8 @@ def combine(selections: Sequence[Selection]) -> Together:
 
 
 def _chosen(nothing: Fit, joints: Mapping[Names, _Joint]) -> Names:
-    """The best set of which all causes are the robot's (one that a recording wants and the others do not is
-    none), or the plainest of those that differ by what `selection.choose` grants."""
+    """The best set whose causes are all confirmed by the recordings together (`_sure`), or the simplest of
+    those whose scores differ by no more than `selection.granted`."""
     ranked = sorted(joints, key=lambda key: joints[key].score)
     sure = [key for key in ranked if _sure(nothing, joints[key])]
     best, bare = joints[sure[0]], joints[frozenset()]
@@ -108,8 +109,8 @@ def _identity(effect: Planned) -> tuple[object, ...]:
 
 
 def _proposals(selections: Sequence[Selection]) -> dict[Names, tuple[Planned, ...]]:
-    """Sets by what they hold, with values to start from: nothing, each recording's own set, the union of
-    all, what all share, and every set with a rival in the place of a cause."""
+    """The sets that are compared, each with its start values: the empty set, each recording's own set, the
+    union of all, the causes that all share, and each of these sets with a cause left out or exchanged."""
     out: dict[Names, tuple[Planned, ...]] = {}
 
     def propose(effects: Sequence[Planned]) -> None:
@@ -186,8 +187,8 @@ def _other(kept: Sequence[Planned], joint: _Joint) -> Planned:
 
 
 def _sure(nothing: Fit, joint: _Joint) -> bool:
-    """Whether the recordings, however they disagree on its size, agree that there is every cause, and by the
-    law that it has: one that contains a simpler law has numbers beyond that one's."""
+    """Whether the recordings together confirm each cause of a set and its law: its size, and the numbers that
+    it has beyond those of a simpler law which it contains, differ from none by enough standard errors."""
     errors, nominal = _errors(joint), replace(nothing, effects=joint.effects)
     for e in joint.effects:
         laws = [e.effect.nulls, *(numbers_beyond(e.effect, name) for name in e.effect.contains)]
@@ -198,7 +199,7 @@ def _sure(nothing: Fit, joint: _Joint) -> bool:
 
 
 def _errors(best: _Joint) -> dict[Key, Errors]:
-    """Standard errors from all recordings' curvature, widened where the recordings disagree by more."""
+    """Standard errors from the curvature of all recordings, widened where the recordings disagree by more."""
     out: dict[Key, Errors] = {e.key: {} for e in best.effects}
     if not len(best.numbers):
         return out
@@ -216,7 +217,9 @@ def _notes(best: _Joint) -> tuple[str, ...]:
     count = len(best.fits)
     notes = [f"causes and numbers common to all {count} recordings"]
     if best.apart:
-        notes = [f"causes common to all {count} recordings, numbers of the first: the others have others"]
+        notes = [
+            f"causes common to all {count} recordings, which disagree on the numbers: those of the first"
+        ]
     disagree = best.fits[0].settings.search.disagree
     for k, slot in enumerate(best.fits[0].slots):
         own = [slot.get(f.effects) for f in best.fits]

@@ -1,5 +1,5 @@
-"""Sets of one effect more than a set: fitted, dated, and judged at the level that they leave. A pool shares
-the work."""
+"""Sets with one effect more than the current one: fitted, dated, and judged at the noise level that they
+leave. A pool of processes shares the work."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from flexjoint.effects import Kind, Planned
 
 
 def at_noise(best: Fit) -> Fit | None:
-    """The set fitted at the level of the predicted noise; None where neither a balance is wrong nor a nominal
-    number implausible."""
+    """The set fitted at the level of the predicted noise; None where no balance is wrong and no nominal
+    number is implausible, for the set was then fitted near that level already."""
     problem = best.problem
     if problem.level.implausibility <= 1.0 and not np.any(
         problem.level.inflation > best.settings.search.wrong
@@ -41,19 +41,21 @@ def at_noise(best: Fit) -> Fit | None:
 def larger_sets(
     best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, pool: WorkerPool
 ) -> list[Fit]:
-    """Sets of one more effect that are better than `best`, on one level. `scanned` are the scans of `best`
-    and, where there is one, of `bare`, the same set at the level of the predicted noise.
+    """Sets of one more effect that are better than `best`, all fitted at the same noise level. `scanned`
+    holds the scan of `best` and, where there is one, that of `bare`, the same set at the level of the
+    predicted noise.
 
-    At the level of `best`, at which hardly anything counts, a cause need not show that leaves a tenth of the
-    variance in the balances that are wrong, or no nominal number implausible: such sets are judged at the
-    level that they leave, and the scan of the `bare` set is looked at, too."""
+    The noise level of `best` may be so high that no cause improves the set visibly, not even one that leaves
+    a tenth of the variance in the wrong balances, or after which no nominal number is implausible. Such sets
+    are therefore judged at the level that they leave themselves, and candidates are also taken from the scan
+    of `bare`."""
     scored = promising(best, scanned[0])
     judged = pool.map(_judged, [(evaluated(best), one) for one in scored])
     found = [f for f, better in judged if f is not None and better]
     if bare is not None:
         trials = [f for f, _ in judged if f is not None]
-        # what was fitted at the level of `best`, and is still dated or not as the scan had it, is fitted from
-        # there
+        # a set that was already fitted at the level of `best` is fitted on from there, unless its onset was
+        # added or dropped meanwhile
         known = {
             (s.candidate, s.since)
             for s, (f, _) in zip(scored, judged, strict=True)
@@ -67,14 +69,14 @@ def larger_sets(
 
 
 def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
-    """A set with a candidate added, and whether it is better at its level."""
+    """A set with a candidate added, and whether the data support it at the noise level of the set."""
     best, added = task[0], added_to(*task)
     return added, added is not None and supported(added, best, added.effects[-1])
 
 
 def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
-    """A set of one effect more than `best`, fitted at the level of `best`, or again from there at that of the
-    predicted noise, whichever clears more: where hardly anything counts, a friction may settle at a wrong
+    """A set of one effect more than `best`, fitted at the noise level of `best`, or fitted on at that of the
+    predicted noise, whichever leaves less: at a high noise level a friction may converge to a wrong
     number."""
     best, bare, above = task
     marked = _marked(above, 1)
@@ -89,8 +91,9 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
 
 
 def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> list[Fit]:
-    """Those of some sets of one more effect than `best` that clear the balances that are wrong, each at the
-    level that it leaves. A set that leaves ten times more than one that does will not be chosen."""
+    """Of sets of one more effect than `best`, those that remove most of what is wrong in the balances, each
+    at the noise level that it leaves. They are tried in groups, those that leave least first; once a group
+    has such a set, those that leave ten times more are not tried."""
     limits = best.settings.search
     waiting = [(_cleared(best, bare.problem.variances(f.y), _marked(f, 1)), f) for f in trials]
     if best.problem.level.implausibility <= 1.0:
@@ -106,28 +109,28 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
 
 
 def _marked(trial: Fit, last: int) -> np.ndarray:
-    """(rows,) bool: the balances that the last few effects of a set mark."""
+    """(rows,) bool: the balances that the last few effects of a set change."""
     count = len(trial.effects)
     shares = [torque_shares(trial.problem, trial.effects, k) for k in range(count - last, count)]
     return np.any(np.array(shares) > 0.0, axis=0)
 
 
 def _cleared(best: Fit, levels: np.ndarray, marked: np.ndarray) -> float:
-    """By how much (mean logarithm) levels are lower than those of `best`, in the balances that are wrong and
-    that what was added marks: of many joints that are wrong, one cause clears its own."""
+    """By how much (mean logarithm) variances are lower than those that `best` leaves, over the balances that
+    are wrong and that the added effect changes: where many joints are wrong, one cause corrects its own."""
     left = best.problem.level.inflation / best.problem.level.implausibility
     wrong = (left > best.settings.search.wrong) & marked
     return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
 
 
 def _clears(best: Fit, levels: np.ndarray, marked: np.ndarray) -> bool:
-    """Whether levels are lower by the factor from which a set is judged at its own level."""
+    """Whether variances are lower by the factor from which a set is judged at its own noise level."""
     return _cleared(best, levels, marked) >= float(np.log(best.settings.search.cleared))
 
 
 def on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> list[Fit]:
-    """Sets with a timing cause that several joints have on all others that could have it: what is late at two
-    joints is more likely common to all. Where a joint tells it less well it need not show beside none."""
+    """Sets in which a timing cause that several joints have is given to all other joints that can have it: a
+    delay at two joints is probably common to all, also at joints where it is too small to be found alone."""
     groups: dict[tuple[str, tuple[object, ...]], list[Planned]] = {}
     for e in best.effects:
         if e.effect.kind is Kind.TIMING and e.joint is not None and e.since is None:
@@ -153,11 +156,13 @@ def _words(planned: Planned) -> tuple[object, ...]:
 def beside_rivals(
     best: Fit, rivals: Sequence[Sequence[Fit]], candidates: Sequence[Candidate], pool: WorkerPool
 ) -> list[Fit]:
-    """Where `best` leaves balances wrong: sets that clear them of each effect, started anew, beside each of
-    the fits with a rival in its place. An effect that came first has sizes that stand in for what its rival
-    explains (a gap, for an offset that moves it to one side), from where no search finds back. Beside a rival
-    that the effect contains as a special case, what else there is on its joint stands in for the rest (an
-    offset, for the second level of a friction); beside a rival that fits as well, so may it."""
+    """Where `best` leaves balances wrong: sets that hold an effect together with one of its rivals.
+
+    An effect that was found first may have taken numbers with which it also explains what its rival is there
+    for (a gap that also explains an offset to one side), and no fit leads away from these numbers. So the
+    rival takes the place of the effect, and the effect is looked for again beside it. If the rival is a
+    special case of the effect, or fits as well as it, all other candidates on the joint are tried beside the
+    rival, too (Coulomb friction and an offset instead of a friction with two levels)."""
     problem = best.problem
     wrong = problem.level.inflation / problem.level.implausibility > best.settings.search.wrong
     joints = {row.joint for row, bad in zip(problem.balances.rows, wrong, strict=True) if bad}
@@ -170,7 +175,8 @@ def beside_rivals(
         others = tuple(c for c in candidates if c.joint == effect.joint and c.key != effect.key)
         for rival in fits:
             beside = others if _narrower(rival, effect) else own
-            # which of equals came first is chance, and what else there is may show beside one of them alone
+            # of two that fit equally well either may have come first, and a further cause may be visible
+            # beside one of them only
             equal = score(rival) - score(best) <= best.settings.verdict.tie
             tasks.append((best, rival, (*own, *others) if equal else beside))
     return on_one_level([f for f in pool.map(_beside, tasks) if f is not None], pool)
@@ -183,14 +189,15 @@ def _narrower(rival: Fit, effect: Planned) -> bool:
 
 
 def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
-    """The last effect of a rival set, and the best of some candidates beside it, if that clears what is wrong
-    in `best`, each at its own level, or takes a law apart that strains the nominal numbers."""
+    """The rival's set with the best of some candidates added, at its own noise level, if it removes most of
+    what is wrong in `best`, or if it replaces a law that needs implausible nominal numbers by two simpler
+    ones."""
     best, rival, candidates = task
     scored = Scanner(candidates).scan(rival)
     trial = added_to(rival, scored[0]) if scored else None
     if trial is None:
         return None
-    # what two causes do, one law may do as well with nominal numbers that are far off
+    # one law may imitate two causes with the help of nominal numbers that are far off
     apart = needs_implausible(best, trial) and any(_narrower(rival, e) for e in best.effects)
     if not apart and not _clears(best, trial.problem.variances(trial.y), _marked(trial, 2)):
         return None
@@ -202,12 +209,12 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
 
 
 def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
-    """A set of one more effect than `best` at the level that it leaves, if that is clearly lower or no
-    nominal number is implausible any more, and it is better there."""
+    """A set of one more effect than `best` at the noise level that it leaves, if the data support it there
+    and if that level is clearly lower, or no nominal number is implausible any more."""
     best, trial = task
     refitted = at_own_level(trial)
     relieved = best.problem.level.implausibility > 1.0 and refitted.problem.level.implausibility <= 1.0
-    # numbers that are implausible with and without it stand for what else is wrong
+    # the part of the inflation that both sets need for implausible numbers has another cause than this one
     levels = refitted.problem.level.inflation / min(
         refitted.problem.level.implausibility, best.problem.level.implausibility
     )
@@ -219,7 +226,7 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
 
 
 def on_one_level(fits: Sequence[Fit], pool: WorkerPool) -> list[Fit]:
-    """The fits at the lowest level among theirs, without those that are far worse there."""
+    """The fits, all at the lowest of their noise levels, without those that are far worse there."""
     if not fits:
         return []
     lowest = min((f.problem for f in fits), key=lambda w: float(np.sum(np.log(w.level.inflation))))
@@ -237,9 +244,9 @@ def _refitted(task: tuple[Problem, Sequence[Planned]]) -> Fit:
 
 
 def sought_again(result: Fit, effect: Planned, pool: WorkerPool) -> Fit:
-    """A set of which the shape of an effect's law ran away from where it was looked for (a creep so slow that
-    it is a spring), with that effect fitted anew from every place there: far out the energy is flat, and no
-    fit finds back."""
+    """The set with an effect fitted again from all its start values, if a shape parameter of it has left the
+    range of these (a creep so slow that it acts as a spring): far outside, the energy is flat and no fit
+    leads back. The set itself, if that does not lower the energy."""
     lengths = [p.name for p in effect.effect.params if p.null is None and p.low > 0.0]
     starts = result.problem.starts(effect.effect, effect.joint)
     looked = {name: [start[name] for start in starts if name in start] for name in lengths}
@@ -261,8 +268,8 @@ def _astray(value: float, looked: Sequence[float], factor: float) -> bool:
 
 
 def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
-    """The candidates whose first-order gain comes near the best one's, and near the energy that is `needed`
-    of rivals, and which might matter."""
+    """The candidates that deserve a full fit: their gain to first order is near that of the best one, and
+    near the energy that a rival needs (`needed`), and their torque may be large enough to be named."""
     limits = current.settings.search
     joints = Counter(e.joint for e in current.effects)
     scanned = [
@@ -270,7 +277,7 @@ def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> l
     ]
     if not scanned:
         return []
-    most = scanned[0].removes  # to first order; what is `needed` may lie beyond it
+    most = scanned[0].removes  # to first order, which may be less than `needed`
     enough = max(limits.promising * most, limits.alternative_share * min(needed, most), limits.chance)
     count = limits.alternatives if needed > 0.0 else limits.polished
     near = [scored for scored in scanned[:count] if scored.removes >= enough]
@@ -278,8 +285,8 @@ def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> l
 
 
 def might_matter(current: Fit, scored: Scored) -> bool:
-    """Whether an effect could be material once it is fitted: a small torque, of which little is seen, will
-    not grow to a large one."""
+    """Whether an effect may be large enough to be named once it is fitted: a small torque that explains
+    little does not become a large one."""
     limits = current.settings.search
     certain = limits.certain if scored.since is None else limits.certain_dated
     if scored.removes >= limits.unfitted**2 * certain:
@@ -305,14 +312,15 @@ def _added(task: tuple[Fit, Scored]) -> Fit | None:
 
 
 def added_to(current: Fit, scored: Scored) -> Fit | None:
-    """A set with a candidate added, fitted and dated; None where its law has shrunk."""
+    """A set with a candidate added, fitted and dated; None where its fitted numbers mean nothing
+    (`degenerate`)."""
     fitted = date_onset(fit(current.problem, [*current.effects, scored.planned()]))
     return None if degenerate(current.problem, fitted.effects[-1]) else fitted
 
 
 def date_onset(result: Fit) -> Fit:
-    """Refine when the last effect set in, or find that it was always there; an onset that would lie too near
-    to an end of the record to be seen there is none."""
+    """Refine the onset of the last effect, or drop the onset: where the effect without one fits nearly as
+    well, and where the onset is too near to an end of the recording to be seen."""
     added = result.effects[-1]
     if added.since is None:
         return result
@@ -333,8 +341,8 @@ def date_onset(result: Fit) -> Fit:
 
 
 def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
-    """Where, in ever smaller steps from its onset, the last effect of a set would have set in best, all
-    numbers held."""
+    """The onset of the last effect at which the energy is least, searched in smaller and smaller steps, with
+    all numbers fixed."""
     problem, added = result.problem, result.effects[-1]
     end = float(problem.balances.chains.t[-1])
 
