@@ -1,8 +1,8 @@
-"""Nominal numbers beyond first order: where their deviations are, and what a set of effects is worth there.
+"""Deviations of the nominal numbers beyond first order, and the energy of a set of effects with them.
 
-To first order every deviation has one trace in the residual (problem.py). Two deviations also have a
-product, as a spring's with its encoders' offsets, or with a gap beside it, and an inertia changes what noise
-makes of a balance.
+To first order every deviation changes the residual by its own column (problem.py). But two deviations also
+have a product (a stiffness with its encoders' offsets, or with a gap beside it), and an inertia changes how
+noise enters a balance.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from flexjoint.diagnosis.regression.nuisance import as_effects
 from flexjoint.diagnosis.regression.problem import REMEMBERED, Problem
 from flexjoint.effects import Planned, Site
 
-MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until what they explain changes by less
-CONVERGED = 0.1  # than this energy (beside a stiffness off by a fifth, each step leaves a fifth of an offset)
+MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
+CONVERGED = 0.1  # what they explain changes by less than this energy
 
 
 def deviation_effects(problem: Problem, deviations: np.ndarray) -> list[Planned]:
@@ -34,9 +34,9 @@ def converged_deviations(problem: Problem, effects: Sequence[Planned], y: np.nda
 
 
 def relinearised(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
-    """(samples,) the residual y of some effects as it would be if it were linear in the nominal numbers, with
-    the values that it has where these explain most of it: their products included, and when a friction holds
-    and lets go."""
+    """(samples,) the residual y of some effects, corrected so that the nominal numbers' first-order columns
+    give the right residual at the deviations that explain most of it. So products of deviations are
+    included, and with them when a friction sticks and slips."""
     deviations = problem.deviations(y)
     for _ in range(MOST_STEPS):
         there = problem.residual([*effects, *deviation_effects(problem, deviations)])
@@ -49,15 +49,17 @@ def relinearised(problem: Problem, effects: Sequence[Planned], y: np.ndarray) ->
 
 
 def judged_energy(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> float:
-    """Q(y, y), evaluated in full (noise and all) and whitened for the noise of the model that it implies,
-    where that is another than the nominal one's; what is left beyond noise, in units of the command."""
+    """The energy by which a set of effects with the whitened residual y is judged: Q(y, y), evaluated in full
+    and whitened for the noise of the corrected model where that differs from the nominal model's, plus what
+    effects of the command hide by making a balance smaller (`_shrunk`)."""
     return _evaluated(problem, y, effects) + _shrunk(problem, y, effects)
 
 
 def _shrunk(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> float:
-    """Energy by which effects of the command shrink what is left beyond noise in the motors' balances: with
-    less torque, less inertia and less friction an equation is as wrong as before, in smaller numbers. A gain
-    of zero would leave nothing of it (the trivial solution of a homogeneous regression)."""
+    """Energy that effects of the command hide in the motors' balances: with less torque, less inertia and
+    less friction a balance is as wrong as before, only in smaller numbers, down to zero for a gain of zero
+    (the trivial solution of a homogeneous regression). What is left beyond noise is scaled back to the
+    recorded command."""
     sizes = _command_sizes(problem, effects)
     if not sizes:
         return 0.0
@@ -72,8 +74,8 @@ def _shrunk(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> floa
 
 
 def _command_sizes(problem: Problem, effects: Sequence[Planned]) -> dict[int, float]:
-    """By row, of the motors' balances whose command effects scale: the size of what changes of the torque,
-    in that of the nominal model; at least LEAST_SIZE."""
+    """By row, for the motors' balances whose command effects change: the size of the commanded torque with
+    these effects over that with the nominal model's; at least `regression.least_command`."""
     balances, used = problem.balances, problem.readings.valid
     every = problem.with_nominal(effects)
     sizes = {}
@@ -88,7 +90,7 @@ def _command_sizes(problem: Problem, effects: Sequence[Planned]) -> dict[int, fl
         if [e.identity for e in here] == [e.identity for e in nominal]:
             continue
         now, was = (float(np.std(balances.chains.command(row.joint, of)[used])) for of in (here, nominal))
-        if was > 0.0:  # what a balance in recorded torque does not count already
+        if was > 0.0:  # without the scale by which the balance is already counted in recorded torque
             chains = balances.chains
             counted = chains.command_scale(row.joint, here) / chains.command_scale(row.joint, nominal)
             sizes[r] = max(counted * now / was, problem.settings.regression.least_command)
@@ -109,7 +111,7 @@ def _evaluated(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> f
             energy = _energy_at(problem, deviations, effects)
             if np.max(problem.level.inflation) < limits.noise_decides:
                 energy = min(energy, _energy_at(problem, converged_deviations(problem, effects, y), effects))
-    except np.linalg.LinAlgError:  # beside a wrong cause numbers may be so far off that no machine has them
+    except np.linalg.LinAlgError:  # beside a wrong cause the numbers may be impossible (a negative mass)
         return problem.energy(y)
     if not any(e.effect.overrides("edit_inertial") for e in problem.nominal):
         problem.motion.rigid.regressor.forget(REMEMBERED)  # nobody else asks for it
@@ -122,7 +124,7 @@ def _energy_at(problem: Problem, deviations: np.ndarray, effects: Sequence[Plann
     scale = np.array([problem.torque_scale[r.joint] for r in problem.balances.rows])
     there_white = whitening.make(problem.balances, scale, there, like=problem.whitening)
     white = there_white.apply(problem.balances.residual(there)).ravel()
-    # other nominal numbers (of effects, offsets) change no noise: their part stays linear
+    # the other nominal numbers (of effects, of jumps) change no noise: they enter to first order
     linear = problem.along(np.where(_as_effects(problem), 0.0, deviations))
     residual = (white - linear) * problem.weights
     return float(residual @ residual) + float(deviations @ deviations)

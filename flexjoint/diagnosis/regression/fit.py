@@ -22,15 +22,15 @@ from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.settings import RegressionSettings, Settings
 from flexjoint.effects import Parameter, Planned, Site
 
-MOST_DAMPING = 1e8  # of a scaled step, beyond which none is better
+MOST_DAMPING = 1e8  # of a scaled step: with more damping no step lowers the energy
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
-CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below what decides anything
-NEAR = 0.01  # relative change of its joint's numbers up to which a derivative is kept
+CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below any price
+NEAR = 0.01  # relative change of a joint's numbers up to which its derivatives are not computed again
 
 
 @dataclass(frozen=True)
 class Slot:
-    """One free number of one effect."""
+    """The place of one free number in a set of effects: an effect, its parameter, and an entry of that."""
 
     effect: int
     param: Parameter
@@ -67,24 +67,24 @@ class Fit:
 
     @cached_property
     def energy(self) -> float:
-        """Judged at the optimum, plus weak priors. Evaluated when it is first asked for: of a fit that is but
-        a step to another level nobody does."""
+        """Energy at the optimum (`judged_energy`), plus weak priors. Evaluated when it is first needed: a fit
+        that is only a step to another noise level never needs it."""
         return self.judge()
 
     @cached_property
     def furthest(self) -> float:
-        """Prior deviations by which the furthest nominal number has to be off."""
+        """Prior deviations by which the nominal number that is furthest off deviates."""
         return self.problem.furthest(self.y)
 
 
 def shifts(result: Fit) -> list[Planned]:
-    """What the nominal numbers' own tolerances take on beside the fitted effects, as effects: where they are
-    at work, as two small deviations also have a product (a spring's with its encoders' offsets)."""
+    """The deviations of the nominal numbers beside the fitted effects, as effects of their own. Products of
+    two deviations (a stiffness with its encoders' offsets) are included."""
     return deviation_effects(result.problem, nominal_deviations(result))
 
 
 def nominal_deviations(result: Fit) -> np.ndarray:
-    """(numbers,) the same as deviations, of which `deviations.deviation_effects` makes those effects."""
+    """(numbers,) deviations of the nominal numbers beside the fitted effects."""
     return converged_deviations(result.problem, result.effects, result.y)
 
 
@@ -105,7 +105,7 @@ def fit(problem: Problem, effects: Sequence[Planned], iterations: int = 12) -> F
         judge = partial(_judged, problem, y, tuple(effects), slots)
         return Fit(problem, tuple(effects), judge, y, np.zeros((0, y.size)), slots)
     current, y, jacobian = _descend(problem, list(effects), slots, iterations)
-    if any(entangles(e) for e in effects):  # where a friction rests, how far a spring is turned, by its size
+    if any(entangles(e) for e in effects):  # the columns of nominal numbers depend on the fitted values
         problem = problem.about(current)
         bent = _bent(problem, current, y)
         current, y, jacobian = _descend(problem, current, slots, iterations, bent)
@@ -119,15 +119,17 @@ def refit_without(result: Fit, effect: Planned) -> Fit:
 
 
 def _bent(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
-    """What the residual y of effects lacks of one that knows when friction holds a body whose load or spring
-    is off by what the nominal numbers' tolerances take on. Implausible numbers tell nothing of that."""
+    """What is to be added to the residual y of effects with a dry friction, because the deviations of the
+    nominal numbers change when that friction sticks. 0 where these numbers are implausible, for they say
+    nothing about it then."""
     if problem.level.implausibility > 1.0 or not any(e.effect.overrides("level") for e in effects):
         return 0.0
     return relinearised(problem, effects, y) - y
 
 
 def evaluated(result: Fit) -> Fit:
-    """The fit with its energy evaluated: by one process, where several would do so or wait for it."""
+    """The fit with its energy evaluated, before it is sent to several processes that would each evaluate
+    it."""
     _ = result.energy
     return result
 
@@ -143,8 +145,8 @@ def _descend(
     iterations: int,
     bent: np.ndarray | float = 0.0,
 ) -> tuple[list[Planned], np.ndarray, np.ndarray]:
-    """Values at the nearest minimum of the energy, the residual there and its derivatives; `bent` is added to
-    all residuals."""
+    """Effects at the nearest minimum of the energy, the residual there and its derivatives; `bent` (`_bent`)
+    is added to all residuals."""
     y = problem.residual(current) + bent
     energy = problem.energy(y) + _prior(problem, slots, current)
     damping, taken = 1e-3, current  # where each column was taken
@@ -154,7 +156,7 @@ def _descend(
         enough, better, tried = CONVERGED + 1e-6 * energy, False, False
         while not better and damping < MOST_DAMPING:
             trial, promised = _step(current, slots, normal, slope, damping)
-            # the first one is tried, however little it promises: at a raised level that is what lowers it
+            # the first step is always tried: at a raised noise level even a small gain lowers that level
             if tried and promised is not None and promised < enough:
                 break
             tried = True
@@ -177,8 +179,9 @@ def _descend(
 def _step(
     current: list[Planned], slots: Sequence[Slot], normal: np.ndarray, slope: np.ndarray, damping: float
 ) -> tuple[list[Planned], float | None]:
-    """A damped Gauss-Newton step in scaled numbers, those at a bound held that would leave it, and the energy
-    that it would gain were all linear. None: it was cut short at a bound, and a shorter one may gain more."""
+    """The effects after a damped Gauss-Newton step in scaled numbers, and the energy that the step would gain
+    if all were linear. Numbers at a bound that would leave it are kept there. The gain is None where the step
+    was cut short at a bound: a shorter step may then gain more."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(size, size) + damping * np.eye(len(slots))
     here = np.array([slot.get(current) for slot in slots])
@@ -208,8 +211,8 @@ def jacobian_of(problem: Problem, effects: Sequence[Planned], slots: Sequence[Sl
 
 
 def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndarray:
-    """(samples,) derivative of the residual by one slot, remembered by the effects that it depends on: at
-    another level it is the same."""
+    """(samples,) derivative of the residual by one slot. It is the same at any noise level, and is remembered
+    by the effects that it depends on."""
     around = _around(effects, effects[slot.effect])
     place = next(k for k, e in enumerate(around) if e is effects[slot.effect])
     own = replace(slot, effect=place)
@@ -226,8 +229,8 @@ def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndar
 
 
 def _around(effects: Sequence[Planned], e: Planned) -> list[Planned]:
-    """The effects that the trace of an effect depends on: of one that acts within its joint, those of that
-    joint."""
+    """The effects on which the change of the residual by an effect depends: all, or those of its joint where
+    it acts within that."""
     if not acts_within_a_joint(e):
         return list(effects)
     return [other for other in effects if other.joint == e.joint and other.effect.site is not Site.BODY]
@@ -240,8 +243,9 @@ def _followed(
     jacobian: np.ndarray,
     taken: Sequence[Planned],
 ) -> tuple[np.ndarray, list[Planned]]:
-    """The derivatives where the effects are now, and the effects that they were taken at: those of effects
-    near which nothing has moved but by little are kept. With many causes, most are."""
+    """The derivatives at the current values, and the values at which each was computed. A derivative is
+    computed again only if a number on which it depends has changed by more than a little: with many causes,
+    few have."""
     far = {e.key for e, before in zip(effects, taken, strict=True) if not _near(e, before)}
     anew = [any(other.key in far for other in _around(effects, e)) for e in effects]
     at = [e if new else before for e, before, new in zip(effects, taken, anew, strict=True)]
@@ -262,7 +266,7 @@ def _near(e: Planned, before: Planned) -> bool:
 
 
 def step_of(problem: Problem, slot: Slot, effects: Sequence[Planned]) -> float:
-    """Finite-difference step: relative to the value, but not below a size the data could ever show."""
+    """Finite-difference step: relative to the value, but not below a size that the data could show."""
     here = abs(slot.get(effects))
     floor = {"rad": 1e-6, "s": 1e-6, "m": 1e-3, "kg": 1e-4}.get(slot.param.unit, 1e-5)
     return min(max(RELATIVE_STEP * here, floor), slot.param.step)
@@ -289,8 +293,8 @@ def _prior(problem: Problem, slots: Sequence[Slot], effects: Sequence[Planned]) 
 
 
 def weak_prior(slot: Slot, effects: Sequence[Planned], settings: RegressionSettings) -> tuple[float, float]:
-    """How many deviations a number lies from what is plausible at all, and the derivative of that: factors
-    are off by a factor of two as a rule at most; positions lie within reach."""
+    """Distance of a number from a plausible value, in weak prior deviations, and its derivative: a factor is
+    rarely off by more than two, and a position lies within reach."""
     number, param = slot.get(effects), slot.param
     if param.unit == "m":
         return number / settings.position_deviation, 1.0 / settings.position_deviation

@@ -1,4 +1,5 @@
-"""Nominal numbers that are not exactly known: one whitened column each, in units of its tolerance."""
+"""Nominal numbers that are not exactly known: one whitened column of the residual for each, for a deviation
+of one tolerance."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from flexjoint.effects import Drive, Effect, Parameter, Planned, Site, effect
 from flexjoint.robot.robot import Robot
 
 TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
-STEP = 0.01  # prior deviations, of a derivative where friction holds: a whole one may break it loose
+STEP = 0.01  # prior deviations, of a derivative where friction sticks: a whole one may break it loose
 REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
 JUMP = "jump between samples"
 JUMP_MEMORY = 1e8  # bytes of all of them: the largest ones, where there are more
@@ -49,13 +50,13 @@ class NominalNumber(Parameter):
 
     @property
     def of_the_robot(self) -> bool:
-        """Whether it is a number that the robot file claims, which may be implausibly far off; not one that
-        nobody knows."""
+        """Whether it is a number that the robot file states, so that a large deviation of it is implausible;
+        not an unknown one (what a torque did between samples)."""
         return self.name != JUMP
 
 
 class DriveDeviation(Effect):
-    """An actuator whose nominal numbers are off by relative amounts (not a cause: a tolerance at work)."""
+    """An actuator whose nominal numbers deviate by relative amounts (a tolerance, not a cause)."""
 
     site = Site.MOTOR
     params = tuple(
@@ -67,7 +68,7 @@ class DriveDeviation(Effect):
 
 
 class InertialDeviation(Effect):
-    """A link whose nominal inertial parameters are off (not a cause: a tolerance at work)."""
+    """A link whose nominal inertial parameters deviate (a tolerance, not a cause)."""
 
     site = Site.BODY
     params = (Parameter("added", "", r"\Delta\pi", value=0.0, low=-1e9, high=1e9, size=10),)
@@ -120,8 +121,8 @@ def as_effects(
 
 
 class Columns:
-    """Builds the columns of one set of balances under one whitening; where torques jump, the readings as they
-    are tell."""
+    """Makes the columns of one set of balances under one whitening; `readings` are those with noise, in which
+    jumps of torques are looked for."""
 
     def __init__(self, balances: Balances, whitening: Whitening, readings: Readings) -> None:
         self.balances, self.whitening, self._readings = balances, whitening, readings
@@ -226,8 +227,8 @@ class Columns:
         return columns
 
     def _jump_columns(self) -> list[np.ndarray]:
-        """What torques that jump gave between two samples, where it matters: of many jumps in a row, which
-        the balances cannot part, as many columns as they can."""
+        """Columns of the unknown torque between two samples where a torque jumps, as far as it matters. Of
+        many jumps in a row, there are as many columns as the balances can distinguish."""
         limits = self._readings.settings.regression
         size = jumps(self._readings)
         size[:, ~self._readings.valid] = 0.0
@@ -261,7 +262,7 @@ class Columns:
         return self._column({(MOTOR, i): self._spectrum(torque)})
 
     def jump_torque(self, deviations: np.ndarray) -> np.ndarray:
-        """(n, N) motor torques [N m] that deviations (numbers,) say came between samples."""
+        """(n, N) motor torques [N m] between samples that deviations (numbers,) imply."""
         count = self.balances.filter.count
         out, numbers = np.zeros((len(self.robot.joints), count)), deviations[~self.claimed]
         for unknown in self._jumps:
@@ -270,13 +271,14 @@ class Columns:
         return out
 
     def entangled(self, effects: Sequence[Planned]) -> dict[str, list[Planned]]:
-        """Joints with effects that change what an actuator's numbers do, with all effects of their own."""
+        """Joints with effects that change how an actuator's numbers enter the balances (`entangles`), with
+        all effects of that joint."""
         joints = dict.fromkeys(e.joint for e in effects if e.joint and entangles(e))
         return {j: [e for e in effects if e.joint == j and e.effect.site is not Site.BODY] for j in joints}
 
     def beside(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
-        """Columns (by their number's index) of numbers that do something else beside effects: of actuators
-        beside effects of their joint, of links beside a friction that holds them."""
+        """Columns, by their number's index, that are different beside some effects: those of actuators beside
+        effects of their joint, and those of links beside a friction that sticks."""
         entangled = self.entangled(effects)
         out = self._loads_beside(entangled)
         for joint, own in entangled.items():
@@ -294,7 +296,8 @@ class Columns:
         return self.whitening.band({row: spectrum / STEP for row, spectrum in changed.items()})
 
     def _loads_beside(self, entangled: Mapping[str, Sequence[Planned]]) -> dict[int, np.ndarray]:
-        """Columns of links' numbers whose loads a friction holds: where it does, they leave no trace."""
+        """Columns of the numbers of links whose load a friction carries while it sticks: meanwhile they do
+        not change the residual."""
         names, chains = self.robot.joint_names, self.balances.chains
         sticking: dict[tuple[str, int], np.ndarray] = {}  # by balance and joint
         for joint, own in entangled.items():
@@ -352,10 +355,9 @@ def tolerance_of(e: Planned, robot: Robot) -> float:
 
 
 def entangles(e: Planned) -> bool:
-    """Whether an effect changes what a small change of its joint's actuator or link does: a body that dry
-    friction holds at rest is held against whatever its spring or its load pulls, and a stiffness acts on the
-    deflection that an offset of an encoder, or a gap, leaves. (The change of a number takes its own
-    tolerance along itself.)"""
+    """Whether an effect changes what a small change of its joint's actuator or link does. A dry friction that
+    sticks takes any change of the spring's or the load's torque; and a stiffness acts on the deflection that
+    an encoder offset or a gap leaves."""
     return e.effect.overrides("level") or e.effect.site in (Site.DEFLECTION, Site.SENSOR)
 
 

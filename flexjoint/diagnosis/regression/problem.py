@@ -1,9 +1,9 @@
-"""One recording against one robot, ready to be asked: how well does this set of effects explain it?
+"""How well does a set of effects explain a recording, beside the tolerances of the nominal model?
 
 Every nominal number is a random variable with the robot's tolerance as its standard deviation. Its
 sensitivity column J (in units of that deviation) is marginalised out of every comparison: energies are
     Q(y, y) = min over d of |y - J d|^2 + |d|^2,
-so that what the tolerances can explain is explained first, and only what they cannot counts.
+so that the tolerances explain as much as they can, and only what they cannot explain counts.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from flexjoint.effects import Effect, Planned, Signals
 from flexjoint.model.joint import neighbours
 
 LEVEL_ROUNDS = 12
-UNCORRELATED = 0.05  # below it a correlation is taken to have ended: it is estimated no better
+UNCORRELATED = 0.05  # a correlation below this counts as zero: it is estimated no better
 REMEMBERED = 2.5e7  # bytes of residuals and their derivatives, and of columns that effects move
 
 
@@ -49,7 +49,8 @@ class NoiseLevel:
 
 @dataclass(frozen=True)
 class Moves:
-    """By how much effects change the columns of some nominal numbers, and all products then."""
+    """By how much effects change the columns of some nominal numbers, and the products of all columns with
+    that change."""
 
     numbers: np.ndarray  # (m,) indices
     change: np.ndarray  # (m, samples)
@@ -109,7 +110,8 @@ class Problem:
     @property
     def J(self) -> np.ndarray:
         """(numbers, samples) whitened columns of the nominal numbers, one prior deviation each. By far the
-        largest array there is, and a copy where effects move some: see `pull`, `across` and `along`."""
+        largest array of a diagnosis, and copied where effects change some columns: `pull`, `across` and
+        `along` multiply by it without the copy."""
         if not self._entangled:
             return self._plain
         out = self._plain.copy()
@@ -118,8 +120,8 @@ class Problem:
 
     @property
     def moves(self) -> Moves:
-        """What effects change of the nominal numbers' columns. Not kept with each of many fits, as it
-        is large and seldom asked for again: made anew where it is not remembered."""
+        """What effects change of the nominal numbers' columns. It is large and seldom needed again, so that
+        it is not stored with each of many fits, but computed again where it is no longer remembered."""
         effects = self._entangled
         key = tuple(e.identity for e in effects)
         return self._moves.get(key, lambda: self._moves_by(effects), REMEMBERED)
@@ -229,7 +231,7 @@ class Problem:
         correlation = correlation / np.maximum(correlation[:, :1], 1e-300)
         past = np.cumsum(correlation < UNCORRELATED, axis=1) > 0
         length = 1.0 + 2.0 * np.sum(np.where(past, 0.0, correlation)[:, 1:], axis=1)
-        # a constant error is one long correlation, and still no accident
+        # a constant error is correlated over the whole recording, and is still evidence of an error
         longest_one = count / self.settings.regression.fewest_samples
         return np.maximum(1.0, np.mean(rest**2, axis=1) * np.minimum(length, longest_one))
 
@@ -241,10 +243,10 @@ class Problem:
     def residual(self, extra: Sequence[Planned]) -> np.ndarray:
         """(samples,) whitened residual with these effects beyond (or instead of) the nominal model's.
 
-        Effects that change what noise makes of a balance (an inertia, a stiffness, a gain) enter through
-        their trace on the denoised recording: a fit must not be drawn towards numbers that shrink a balance,
-        and its noise with it (errors in variables; Fuller 1987). Remembered: it is the same at any level, and
-        made of the nominal model's by what changes, joint by joint."""
+        Effects that change how noise enters a balance (an inertia, a stiffness, a gain) are evaluated on the
+        denoised recording: otherwise a fit would prefer numbers that make a balance smaller and its noise
+        with it (errors in variables; Fuller 1987). The residual is the same at any noise level, so it is
+        remembered; only what differs from the nominal model's is computed, joint by joint."""
         return self.remembered("residual", extra, lambda: self._residual(extra))
 
     def _residual(self, extra: Sequence[Planned]) -> np.ndarray:
@@ -257,11 +259,11 @@ class Problem:
         return self.residual([]) + self.whitening.white(self.whitening.band(change)).ravel()
 
     def remembered(self, what: str, effects: Sequence[Planned], make: Callable[[], np.ndarray]) -> np.ndarray:
-        """An array that depends on the effects beyond the nominal model's alone. Not to be written on."""
+        """An array that depends only on the effects beyond the nominal model's. It must not be changed."""
         return self._recent.get((what, *(e.identity for e in effects)), make, REMEMBERED)
 
     def moved(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
-        """(samples,) residual(other) - residual(extra), at the cost of the joints that differ."""
+        """(samples,) residual(other) - residual(extra); only joints that differ are evaluated."""
         return self.whitening.white(self.moved_band(extra, other)).ravel()
 
     def moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
@@ -293,7 +295,7 @@ class Problem:
 
     # ------------------------------------------------------------------ inner products
     def pull(self, y: np.ndarray) -> np.ndarray:
-        """(numbers,) how a residual y pulls at the nominal numbers: J W y."""
+        """(numbers,) J W y: half the gradient of the energy of a residual y in the nominal numbers."""
         return self.across((y * self.squares)[None])[0]
 
     @property
@@ -308,8 +310,8 @@ class Problem:
         return out
 
     def across_part(self, a: np.ndarray, row: int, part: slice) -> np.ndarray:
-        """(k, numbers) the same of one balance's part of the record, a (k, size of the part), without what
-        effects move."""
+        """(k, numbers) the same over a part of the recording in one balance, a (k, size of the part), without
+        what effects change of the columns."""
         plain = self._plain.reshape(len(self._plain), len(self.balances.rows), self.time.size)
         return np.asarray(a @ plain[:, row, part].T)
 
@@ -333,7 +335,7 @@ class Problem:
 
     def normal(self, a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Q among columns a (k, samples), (k, k), and with a residual y (samples,), (k,): `product` and
-        `against` at once, for every walk through the nominal numbers' columns takes time."""
+        `against` in one pass, as a product with the nominal numbers' columns takes long."""
         both = np.concatenate([a, y[None]])
         products = self.product(both, both)
         return products[:-1, :-1], products[:-1, -1]
@@ -411,7 +413,8 @@ class Problem:
 
     # ------------------------------------------------------------------ nominal numbers
     def jumped(self, deviations: np.ndarray) -> np.ndarray:
-        """(rows, N) filtered balances [N m] of what deviations (numbers,) say torques did between samples."""
+        """(rows, N) filtered balances [N m] of the torques between samples that deviations (numbers,)
+        imply."""
         torque = self.balances.filter.smooth(self._columns.jump_torque(deviations))
         motor = np.array([row.balance == MOTOR for row in self.balances.rows], dtype=bool)
         return np.asarray(torque[[row.joint for row in self.balances.rows]] * motor[:, None])

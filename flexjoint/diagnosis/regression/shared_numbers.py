@@ -1,5 +1,5 @@
-"""Nominal numbers that several recordings of one robot share: a mass that is off is off in all of them, by
-the same amount, and is paid for once. What one recording's tolerances explain, another's must bear out.
+"""Nominal numbers that several recordings of one robot share: a mass deviates in all of them by the same
+amount, and this deviation is counted once. A deviation that explains one recording must fit the others, too.
 
 With y_i + T_i (p - p_i) the white residual of recording i about its own optimum p_i, J_i the columns of the
 nominal numbers and d their common deviations, the numbers p of the causes are those of

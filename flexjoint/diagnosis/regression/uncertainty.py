@@ -1,4 +1,4 @@
-"""How well the numbers of a fit are known: standard errors, and distances from absence in them."""
+"""How well the numbers of a fit are known: standard errors, and how many of them an effect is from none."""
 
 from __future__ import annotations
 

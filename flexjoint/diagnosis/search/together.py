@@ -218,7 +218,7 @@ def _notes(best: _Joint) -> tuple[str, ...]:
     notes = [f"causes and numbers common to all {count} recordings"]
     if best.apart:
         notes = [
-            f"causes common to all {count} recordings, which disagree on the numbers: those of the first"
+            f"causes common to all {count} recordings, numbers of the first: each recording gives others"
         ]
     disagree = best.fits[0].settings.search.disagree
     for k, slot in enumerate(best.fits[0].slots):

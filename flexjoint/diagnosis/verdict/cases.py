@@ -1,4 +1,4 @@
-"""What checks look at: a set of causes, what the simulation makes of it, and the findings it would be."""
+"""What the checks examine: a set of causes, its simulation, and the findings that would be reported."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ class SimulatedCase(Case):
 class StatedCase(SimulatedCase):
     """A set as findings with their numbers; each is made when it is first asked for.
 
-    `kept` says why numbers are not refined on the simulation; empty: they are. `spread` replaces the standard
-    errors of the first recording. So many `workers` (processes) share a refinement.
+    `kept` says why the numbers are not refined on the simulation; if empty, they are. `spread` replaces the
+    standard errors of the first recording. `workers` is the number of processes that share a refinement.
     """
 
     kept: str

@@ -11,8 +11,8 @@ from flexjoint.effects import Planned
 
 
 def plainer(selection: Selection, shrunk: Planned) -> Selection:
-    """The selection with its best rival in the place of a law that has shrunk, or without that law where no
-    rival is worth its price."""
+    """The selection with the best rival in the place of a law that has shrunk, or without that law where the
+    data support no rival."""
     best = selection.best
     k = next(k for k, e in enumerate(best.effects) if e.key == shrunk.key)
     simplest = refit_without(best, best.effects[k])
@@ -31,7 +31,8 @@ def plainer(selection: Selection, shrunk: Planned) -> Selection:
 
 
 def given_way(selection: Selection, k: int, rival: Fit, refitted: Fit) -> Selection:
-    """The selection with a rival, at its own level, in the place of effect k, with rivals of its own."""
+    """The selection with a rival, `refitted` at its own noise level, in the place of effect k; the other
+    rivals of that effect become rivals of it."""
     kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
     left = [fit(refitted.problem, r.effects) for r in selection.rivals[k] if r is not rival]
     return replace(selection, best=refitted, rivals=(*kept, tuple(sorted(left, key=score))))

@@ -1,4 +1,4 @@
-"""What a set of causes gains on data that its fit did not see."""
+"""What a set of causes gains on held-out data, which its fit did not use."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ def comparison(
     known: Gain | None = None,
     nothing: Fit | None = None,
 ) -> Gain | None:
-    """Simulation against the held-out blocks, before and after; the parameters come from the other blocks.
-    None where the recording cannot drive a simulation. Of `known`, an earlier comparison, the nominal model's
-    part is taken. With `nothing`, the fit without causes, each of the two has its nominal numbers where it
-    would have them by their tolerances."""
+    """Simulation against the held-out blocks, with the nominal model and with the causes, whose numbers come
+    from the other blocks. None where the recording cannot drive a simulation. The nominal model's errors are
+    taken from `known`, an earlier comparison, if given. If the fit without causes, `nothing`, is given, the
+    nominal numbers of both models are corrected within their tolerances, each as its own fit has them."""
     block = problem.settings.verdict.held_out_block
     away = held_out_blocks(problem.balances.chains.t[0] + problem.time, block)
     held_out = bool(np.any(away) and not np.all(away))

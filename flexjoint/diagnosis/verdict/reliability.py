@@ -1,10 +1,10 @@
-"""How far to believe a name, from what is left beside it.
+"""How reliable the name of a cause is, from what is left beside it.
 
-A cause that is the whole story of its balances leaves the sensors' noise in them; one that stands in for
-another leaves a shape of its own. Counted on planted machines (`make study`), some of which hold an effect
-that is in no catalogue: how often a name was right, by the variance that was left and by whether nominal
-numbers had to be implausible beside it. A logistic curve through these counts; docs/diagnosis_study.md shows
-what became of it.
+A cause that explains all that is wrong in its balances leaves only the sensors' noise in them; a wrong one,
+named instead of another, leaves more. On planted machines (`make study`), some of which have an effect that
+is in no catalogue, it was counted how often a name was right, by the variance that was left and by whether
+nominal numbers had to be implausible beside it. A logistic curve through these counts gives the probability;
+docs/diagnosis_study.md shows how well it holds.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ CERTAINLY_NOT = -40.0  # log odds below which a probability is 0 to rounding
 
 
 def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
-    """Largest variance, in that of the noise, of what is left in the balances that effect k of a set touches,
-    whitened alone or beside those before them, and its share of what was there with `nothing`; correlated
-    leftovers count as the few independent samples that they are."""
+    """The largest variance, in that of the noise, that is left in the balances that effect k of a set changes
+    (before or after whitening), and its share of what was there with `nothing`; correlated samples count as
+    the few independent ones that they are."""
     touched = torque_shares(best.problem, best.effects, k) > 0.0
     if not np.any(touched):
         return 1.0, 1.0
@@ -37,16 +37,16 @@ def left_by(best: Fit, nothing: Fit, k: int) -> tuple[float, float]:
 
 
 def _most_telling(best: Fit, k: int) -> int:
-    """The whitened balance in which effect k of a set leaves its largest mark: a friction of a motor may be
-    lost in the noise of its spring, and known from the load of its link alone."""
+    """The whitened balance that effect k of a set changes most: a friction of a motor may be hidden by the
+    noise of its spring's torque, and be known only from the load of its link."""
     others = [e for i, e in enumerate(best.effects) if i != k]
     mark = best.problem.moved(others, best.effects).reshape(len(best.problem.level.inflation), -1)
     return int(np.argmax(np.sum(mark**2, axis=1)))
 
 
 def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
-    """Probability that the name of effect k of a set is right which leaves so much, a share of what was
-    there, on a machine that leaves the sensors' noise alone."""
+    """Probability that the name of effect k of a set is right, from the variance that is left and its share
+    of what was there, on a machine that has no other small errors: nothing but the sensors' noise."""
     limits = best.settings.verdict
     joint = best.effects[k].joint
     crowd = max(0, sum(e.joint == joint for e in best.effects) - limits.crowd)
@@ -64,10 +64,10 @@ def on_background(
     beside: int,
     settings: VerdictSettings,
 ) -> float:
-    """Probability that a name is right on a machine that always leaves something: many small errors that
-    nobody names. It is lower where the cause leaves more than other joints do, leaves a shape that a smooth
-    law of one signal would remove, or removes no more than such errors make themselves. `noise` [N m] is that
-    of the balance; so many causes are on its joint, this one included."""
+    """Probability that a name is right on a machine that also has a background: many small errors that nobody
+    names. It is lower where the cause leaves more than other joints leave, where a smooth law of one signal
+    would remove much of that, and where the cause removes no more than a background does. `noise` [N m] is
+    that of the balance; `beside` counts the causes on its joint, this one included."""
     own = next((j for j in joints if j.joint == removed.joint), None)
     torque = own.torque if own is not None else removed.without
     others = [np.sqrt(max(0.0, j.after**2 - j.noise**2)) / j.torque for j in joints if j is not own]
@@ -86,9 +86,9 @@ def on_background(
 
 
 def by_simulation(measured: Gain | None, planned: Planned, beside: int, settings: VerdictSettings) -> float:
-    """Probability that a name is right by the simulation of its joint on unseen data, whose error falls by
-    some factor: a wrong cause may make a balance small, but hardly what is simulated. 0 where that is not
-    known, or the cause is of no joint."""
+    """Probability that a name is right, from the factor by which it lowers the simulated error of its joint
+    on held-out data: a wrong cause may make a balance smaller, but rarely the error of the simulation. 0
+    where that is not known, and for a cause of the whole robot."""
     if measured is None or planned.joint is None:
         return 0.0
     before, after = (table["nrmse"] for table in (measured.before, measured.after))
@@ -105,10 +105,10 @@ def _decades(ratio: float) -> float:
 
 
 def followed(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
-    """The findings, believed more where a position is missing and the simulation follows the readings to
-    their noise: what they leave in the balances may be those' own error (a motion made of the nominal model).
-    A near relative of the true effect may follow, too (a limit of the torque for one of the speed), so a name
-    is even odds at most by this."""
+    """The findings, with a higher reliability where a position was not measured and the simulation follows
+    the readings up to their noise: what is left in the balances may then come from the missing position,
+    which was computed from the nominal model. An effect similar to the true one (a torque limit instead of a
+    speed limit) may follow the readings, too, so the reliability is raised to one half at most."""
     if estimation is None or not estimation.follows or not best.problem.motion.missing:
         return tuple(found)
     return tuple(_at_least(f, best.settings.verdict.followed_belief) for f in found)

@@ -1,4 +1,4 @@
-"""What the chosen causes leave: which balance, how much, and the signal that it depends on."""
+"""What the chosen causes leave: in which balance, how much, and on which signal it depends."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from flexjoint.diagnosis.result import ResidualView, Unexplained
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned, Site
 
-FINER = 4  # times the resolution of the record, to which a frequency is resolved
+FINER = 4  # times finer than the resolution of the recording, for a frequency
 KNOTS = 8  # of the spline through which a residual is regressed on a signal
 
 
 def residual_views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
     """Residual of every balance [N m] before and after, with the signals it may depend on. Encoder offsets
-    that are free in each recording, and what torques did between samples, are taken out of both."""
+    that are free in each recording, and unknown torques between samples, are taken out of both."""
     problem = best.problem
     balances, used = problem.balances, problem.readings.valid
     first, last = nominal_deviations(nothing), nominal_deviations(best)
@@ -67,8 +67,8 @@ def explained_share(best: Fit, residuals: tuple[ResidualView, ...]) -> float:
 
 
 def unexplained_balances(best: Fit, residuals: tuple[ResidualView, ...]) -> tuple[Unexplained, ...]:
-    """Balances whose residual is beyond noise and beyond the robot's torque tolerance. Where nothing was
-    found and only implausible nominal numbers would explain the error, the whole error is left over."""
+    """Balances whose residual exceeds the noise and the robot's torque tolerance. Where no cause was found
+    and only implausible nominal numbers would explain the error, all of it counts as unexplained."""
     problem = best.problem
     implausible = not best.effects and problem.level.implausibility > problem.settings.robust_search.begins
     found = []

@@ -1,4 +1,5 @@
-"""Rivals that explain a recording as well as a cause, and how much the cause is preferred to the others."""
+"""Rivals that explain a recording as well as a cause does, and the probability of the cause against the
+others."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ from flexjoint.effects import Kind, Planned
 def ties(
     best: Fit, planned: Planned, rivals: Sequence[Fit], explained: float | None = None
 ) -> tuple[Tie, ...]:
-    """Rivals that fit as well. One that merely contains the found effect is no rival of it. `explained` is
-    the energy that the effect explains, where it is not of this recording alone."""
+    """Rivals that fit as well. One that contains the found effect as a special case is no rival of it.
+    `explained` is the energy that the effect explains; by default that in this recording."""
     limits = best.settings.verdict
     out: list[Tie] = []
     if not rivals:
@@ -41,21 +42,23 @@ def ties(
         share = errors.method_error if all(delays) else errors.finer_method_error
         little = rival.energy - best.energy < share * explained
         if behind <= margin:
-            why = f"fits these data as well (score {behind:+.1f}; below {margin:.0f} chance decides)"
+            why = (
+                f"fits these data as well (its score differs by {behind:+.1f}; up to {margin:.0f} is chance)"
+            )
         elif little and all(delays):
-            why = f"fits these data as well to first order in a delay (score {behind:+.1f})"
+            why = f"fits these data as well to first order in a delay (its score differs by {behind:+.1f})"
         elif little and not _worse_throughout(best, rival):
-            why = f"fits these data as well but for single moments (score {behind:+.1f})"
+            why = f"fits these data as well except at single moments (its score differs by {behind:+.1f})"
         if why:
-            text = f"{why}: with these sensors and this motion both leave the same trace"
+            text = f"{why}: with these sensors and this motion the two cannot be distinguished"
             out.append(Tie(other.effect.name, other.joint, text))
     return tuple(out)
 
 
 def _worse_throughout(best: Fit, rival: Fit) -> bool:
-    """Whether a rival leaves more all over the recording. Errors of the method (a filter round an onset or a
-    kink) sit in single moments, so that the differences of time blocks scatter as much as they add up to
-    (Vuong 1989, with blocks for samples)."""
+    """Whether a rival leaves more energy all over the recording, and not only at single moments, as errors of
+    the method do (a filter around an onset or a kink): then the differences of the time blocks scatter as
+    much as their sum (Vuong 1989, with blocks for samples)."""
     differences = _by_block(rival) - _by_block(best)
     scatter = float(np.sqrt(np.sum(differences**2)))
     return float(np.sum(differences)) > best.settings.verdict.throughout * scatter
@@ -72,10 +75,10 @@ def _by_block(result: Fit) -> np.ndarray:
 
 
 def preferred(best: Fit, planned: Planned, rivals: Sequence[Fit], tied: Sequence[Tie]) -> float:
-    """Probability of a cause, or of one that it is tied with, against its rivals: from the margin over the
-    best one that is not a tie."""
+    """Probability of a cause, or of one that fits as well, against its rivals: from the margin over the best
+    rival that does not fit as well."""
     equal = {(tie.effect, tie.joint) for tie in tied}
-    name = planned.effect.name  # a law that contains it is no rival: it says the same, and more
+    name = planned.effect.name  # a law that contains it as a special case is no rival
     others = [
         r for r in rivals if r.effects[-1].key not in equal and name not in r.effects[-1].effect.contains
     ]

@@ -1,9 +1,9 @@
-"""What is left of each balance on data that a fit did not see, and how much of it has a shape.
+"""What is left of each balance on data that was held out of the fit, and how much of it depends on one
+signal.
 
-Of a real machine something is always left: many small errors that nobody names. A cause that is there leaves
-them; one that stands in for another leaves a shape of its own, which a smooth law of one signal would remove
-as well. So what is left is regressed on one signal after the other, on the blocks that the fit saw, and
-judged on those that it did not.
+A real machine always leaves something: many small errors that nobody names. A true cause leaves just these;
+a wrong one leaves more, and a smooth law of one signal would often remove that. So what is left is regressed
+on one signal after another, on the blocks that were fitted, and judged on those that were held out.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def _of(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
 
 # ------------------------------------------------------------------ causes
 def removed(data: Unseen, k: int) -> Removed:
-    """What cause k of a set removes, in the balance that it clears most."""
+    """What cause k of a set removes, in the balance in which it removes the largest share."""
     problem, away = data.problem, data.away
     without, left = (np.mean(x[:, away] ** 2, axis=1) for x in (data.without[k], data.after))
     noise = np.maximum(problem.deviation**2, 1e-300)
@@ -149,8 +149,8 @@ def _noise(problem: Problem) -> list[float]:
 
 
 def unfinished(joints: Sequence[Remaining], settings: VerdictSettings) -> tuple[Remaining, ...]:
-    """Joints of which the causes named are not all: more is left than noise and a background make, and it is
-    either most of what there was or has a shape that a smooth law of one signal removes."""
+    """Joints at which some cause is still missing: more is left than noise and a background make, and this is
+    either most of what there was, or a smooth law of one signal removes much of it."""
     out = []
     for joint in joints:
         small = joint.after < max(settings.above_noise * joint.noise, settings.finished * joint.torque)
@@ -162,8 +162,8 @@ def unfinished(joints: Sequence[Remaining], settings: VerdictSettings) -> tuple[
 
 # ------------------------------------------------------------------ shape
 def shape(data: Unseen, series: np.ndarray, joint: str) -> tuple[float, str]:
-    """Share of a joint's unseen leftover (N,) that a smooth law of one signal removes, fitted on the other
-    blocks, and that signal."""
+    """The share of what is left of a joint (N,) on held-out blocks that a smooth law of one signal removes,
+    fitted on the other blocks, and that signal."""
     best, most = "t", 0.0
     seen, away = ~data.away, data.away
     if not np.any(seen) or not np.any(away):

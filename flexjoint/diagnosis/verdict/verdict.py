@@ -45,7 +45,7 @@ def findings(
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
         left, share = left_by(best, selection.nothing, k)
         cleared = removed(data, k)
-        # what a sensor adds to its reading is no rival of what moves the joint
+        # an effect of a sensor is no rival of one that moves the joint
         beside = sum(e.joint == planned.joint and e.effect.site is not Site.SENSOR for e in best.effects)
         believed = max(
             reliability(best, left, share, k),
@@ -78,7 +78,8 @@ def findings(
 def merged(
     found: Sequence[Finding], candidates: Sequence[Candidate], settings: VerdictSettings
 ) -> tuple[Finding, ...]:
-    """Timing causes that every joint with the sensor shares, with one value, as one finding of the robot."""
+    """The findings, with a timing cause that all joints with that sensor have, with equal values, as one
+    finding of the robot."""
     out = list(found)
     groups: dict[object, list[Finding]] = {}
     for f in found:
@@ -138,7 +139,7 @@ def _parameters(
 
 
 def _hidden_by_refit(selection: Selection, k: int) -> bool:
-    """Whether freeing the nominal numbers altogether would absorb most of what the effect explains."""
+    """Whether nominal numbers without any tolerance would explain most of what the effect explains."""
     best = selection.best
     problem = best.problem
     without = [e for i, e in enumerate(best.effects) if i != k]
@@ -157,24 +158,24 @@ def _hidden_by_refit(selection: Selection, k: int) -> bool:
 
 
 def within_tolerance(best: Fit) -> tuple[WithinTolerance, ...]:
-    """Nominal numbers that the data show to be off by less than would make them a cause."""
+    """Nominal numbers that the data show to deviate by less than would make them a cause."""
     return tuple(
         shown for shown, deviations in _off(best) if abs(deviations) <= best.settings.verdict.believed
     )
 
 
 def not_believed(best: Fit) -> tuple[str, ...]:
-    """Notes on nominal numbers that would have to be far off: something else is wrong there."""
+    """Notes on nominal numbers that would have to deviate implausibly far: something else is wrong there."""
     return tuple(
-        f"{shown.effect} on {shown.joint} would have to be {deviations:+.1f} times its tolerance off to make"
-        " the balances smaller: not believed, something else is wrong there"
+        f"{shown.effect} on {shown.joint} would have to be off by {deviations:+.1f} times its tolerance to"
+        " make the balances smaller: this is not plausible, so something else is wrong there"
         for shown, deviations in _off(best)
         if abs(deviations) > best.settings.verdict.believed
     )
 
 
 def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
-    """Actuators' numbers that the data show to be off, and by how many prior deviations."""
+    """Actuators' numbers that the data show to deviate, and by how many prior deviations."""
     problem = best.problem
     pull, error = -problem.deviations(best.y), problem.deviation_errors()
     found, limits = {e.key for e in best.effects}, best.settings.verdict
@@ -197,7 +198,7 @@ def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
 
 
 def not_excited(selection: Selection, candidates: Sequence[Candidate]) -> tuple[tuple[str, str | None], ...]:
-    """Effects that this recording could not have shown unless they were large."""
+    """Effects that this recording would show only if they were large."""
     limits, search = selection.best.settings.verdict, selection.best.settings.search
     seen: set[tuple[str, str | None]] = set()
     for scored in (*selection.scan, *selection.last_scan):

@@ -1,4 +1,4 @@
-"""What may refuse or replace a cause, one rule a file, in the order in which they are asked.
+"""What may drop or replace a cause, one rule a file, in the order in which they are asked.
 
 `verdict/review.py` asks them; what one of them says of a set is asked again of the set that it leaves."""
 

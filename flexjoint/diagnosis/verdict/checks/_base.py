@@ -18,9 +18,9 @@ Looked = TypeVar("Looked", bound=Case)
 class Objection:
     """A cause that is not to be reported as it is.
 
-    `evidence` is what the check compares with its limit, `why` completes "X is not reported: ...". Where
-    `simpler`, the best simpler alternative takes its place, if one is worth its price. `instead` is the set
-    without it, where the check had to make that to judge.
+    `evidence` is what the check compares with its limit, `why` completes "X is not reported: ...". With
+    `simpler`, the best simpler alternative takes its place if the data support one. `instead` is the
+    selection to go on with, where the check has made it already.
     """
 
     effect: Planned
@@ -37,7 +37,7 @@ class Check(ABC, Generic[Looked]):
     stage: ClassVar[str]
     reason: ClassVar[str]  # one sentence
     once: ClassVar[bool] = False  # whether it is done after its first objection
-    noted: ClassVar[bool] = True  # whether what it does is told among the notes
+    noted: ClassVar[bool] = True  # whether what it does becomes a note of the report
 
     @abstractmethod
     def limit(self, settings: Settings) -> float:

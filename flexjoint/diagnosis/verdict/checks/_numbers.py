@@ -1,4 +1,4 @@
-"""Numbers of a finding, as they are reported, and how far they are from none."""
+"""Numbers of a finding as they are reported, and how many standard errors they are from none."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from flexjoint.model.parameters import labels
 def distance(
     best: Fit, finding: Finding, param: Parameter, estimation: Estimation, shapes: Sequence[Parameter]
 ) -> float:
-    """Distance of a number from its absence, in standard errors that it has where some shapes are held."""
+    """Distance of a number from the value at which its effect is absent, in the standard errors that it has
+    with some shape parameters fixed."""
     listed = {e.key for e in best.problem.nominal}  # of these the change is reported
     null = 0.0 if finding.planned.key in listed else param.null
     if null is None or not isinstance(finding.parameters[param.name], Fitted):

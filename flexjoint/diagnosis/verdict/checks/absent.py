@@ -14,8 +14,8 @@ class AbsentOnTheSimulation(Check[StatedCase]):
     name = "absent on the simulation"
     stage = "findings"
     reason = (
-        "A cause whose refined numbers do not differ from none is none: where friction rests, the curvature"
-        " of a balance can promise what a simulation does not keep."
+        "A cause whose refined numbers do not differ clearly from those of no effect is not reported: where a"
+        " friction sticks, a balance can show a smaller standard error than the simulation confirms."
     )
 
     def limit(self, settings: Settings) -> float:
@@ -23,7 +23,10 @@ class AbsentOnTheSimulation(Check[StatedCase]):
 
     def objections(self, case: StatedCase) -> tuple[Objection, ...]:
         best = case.selection.best
-        limit, why = self.limit(best.settings), "the simulation does not tell it from none"
+        limit, why = (
+            self.limit(best.settings),
+            "on the simulation its numbers do not differ clearly from those of no effect",
+        )
         return tuple(
             Objection(f.planned, furthest, why)
             for f, furthest in _distances(best, *case.estimated)
@@ -34,8 +37,9 @@ class AbsentOnTheSimulation(Check[StatedCase]):
 def _distances(
     best: Fit, found: Sequence[Finding], estimation: Estimation | None
 ) -> Iterator[tuple[Finding, float]]:
-    """Of findings that were refined on the simulation: the distance from absence, in standard errors, of the
-    number that is furthest from it. A law's shape is fixed: it means nothing where the law is absent."""
+    """The findings that were refined on the simulation, each with the distance from absence, in standard
+    errors, of the number that is furthest from it. Shape parameters are fixed: they mean nothing without the
+    law."""
     if estimation is None or estimation.method != "output_error":
         return
     for f in found:

@@ -10,7 +10,7 @@ from flexjoint.diagnosis.verdict.checks._base import Check, Objection
 class ContradictedByABalance(Check[Case]):
     name = "contradicted by a balance"
     stage = "balances"
-    reason = "A cause that is real does not leave many times more in another balance."
+    reason = "A true cause does not leave many times more in another balance."
 
     def limit(self, settings: Settings) -> float:
         return settings.search.cleared
@@ -20,5 +20,5 @@ class ContradictedByABalance(Check[Case]):
         denied = next((e for e in best.effects if contradicted(best, refit_without(best, e))), None)
         if denied is None:
             return ()
-        why = "it lowers one balance and raises another, which shows no such error"
+        why = "it makes the error of one balance smaller and that of another one many times larger"
         return (Objection(denied, self.limit(best.settings), why),)

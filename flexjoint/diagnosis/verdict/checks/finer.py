@@ -14,7 +14,7 @@ from flexjoint.effects import Parameter, numbers_beyond
 class FinerThanKnown(Check[StatedCase]):
     name = "finer than known"
     stage = "findings"
-    reason = "A law whose extra parameters are not known to be there is the simpler law."
+    reason = "Where the data do not support the extra parameters of a law, the simpler law is reported."
 
     def limit(self, settings: Settings) -> float:
         return settings.verdict.sure
@@ -30,9 +30,9 @@ class FinerThanKnown(Check[StatedCase]):
 
 
 def finer(best: Fit, found: Sequence[Finding], estimation: Estimation | None) -> tuple[Finding, ...]:
-    """Findings that are a simpler law with numbers added of which none is known to be there, or the numbers
-    added without that law (a static friction where nothing rubs), or with numbers apart that are not known to
-    differ."""
+    """Findings of a law that contains a simpler one, where none of the numbers that it adds differs from none
+    by enough standard errors; where only the added ones do (a static friction without Coulomb friction); or
+    where two numbers of one kind (two levels) do not differ from each other."""
     return tuple(f for f in found if estimation is not None and _finer(best, f, estimation))
 
 

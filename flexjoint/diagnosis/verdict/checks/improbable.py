@@ -9,14 +9,14 @@ from flexjoint.diagnosis.verdict.checks._base import Check, Objection
 class Improbable(Check[StatedCase]):
     name = "improbable"
     stage = "findings"
-    reason = "Where an alternative fits clearly better, the set explains something, but not by this name."
+    reason = "Where an alternative fits clearly better, something is wrong there, but not this."
 
     def limit(self, settings: Settings) -> float:
         return settings.verdict.probable
 
     def objections(self, case: StatedCase) -> tuple[Objection, ...]:
         least = self.limit(case.selection.best.settings)
-        why = "something like it would help, but an alternative fits clearly better"
+        why = "it explains part of the error, but an alternative fits clearly better"
         return tuple(
             Objection(f.planned, against_alternatives(f), why)
             for f in case.named

@@ -14,8 +14,10 @@ from flexjoint.diagnosis.verdict.ties import ties
 class KnownName(Check[Case]):
     name = "known name"
     stage = "balances"
-    reason = "An effect that is known as another one has that name where the other fits as well."
-    once = True  # names do not follow from one another
+    reason = (
+        "Of two effects with nearly the same trace, the better known one is reported where it fits as well."
+    )
+    once = True  # one exchange of names does not lead to another
     noted = False  # the other name stays among the ties
 
     def limit(self, settings: Settings) -> float:

@@ -10,7 +10,8 @@ class ShrunkLaw(Check[Case]):
     name = "shrunk law"
     stage = "balances"
     reason = (
-        "A law whose numbers lie at their bounds, or below what sensors resolve, is a simpler one or none."
+        "A law whose numbers lie at their bounds, or below what the sensors resolve, acts as a simpler one"
+        " or as none."
     )
 
     def limit(self, settings: Settings) -> float:
@@ -21,4 +22,11 @@ class ShrunkLaw(Check[Case]):
         shrunk = next((e for e in best.effects if degenerate(best.problem, e)), None)
         if shrunk is None:
             return ()
-        return (Objection(shrunk, 0.0, "its law has shrunk to a simpler one or to none", simpler=True),)
+        return (
+            Objection(
+                shrunk,
+                0.0,
+                "its numbers are at their bounds or too small, so that it acts as a simpler law or as none",
+                simpler=True,
+            ),
+        )

@@ -12,8 +12,8 @@ class UncertainSize(Check[Case]):
     name = "uncertain size"
     stage = "balances"
     reason = (
-        "A cause must differ from none by several standard errors: where the residual is not white, the"
-        " curvature of a fit promises more than its scores keep."
+        "The numbers of a cause must differ by several standard errors from those of no effect; where the"
+        " residual is not white, these errors are larger than the curvature of a fit suggests."
     )
 
     def limit(self, settings: Settings) -> float:

@@ -18,13 +18,13 @@ WHY = "it lowers a balance, but makes the simulation of its joint worse on held-
 
 
 class WorseSimulation(Check[SimulatedCase]):
-    """The nominal numbers' tolerances have their say: a small true cause need not help a simulation that
-    suffers from a spring 2 % off. The best alternative that the simulation does not speak against takes its
-    place: a finer law may follow what a filter makes of a simpler one."""
+    """The simulations are compared with nominal numbers corrected within their tolerances, because a small
+    true cause need not improve a simulation whose stiffness is 2 % wrong. The best alternative that does not
+    make the simulation worse takes the place of the cause."""
 
     name = "worse simulation"
     stage = "simulation"
-    reason = "A wrong cause can make a balance smaller, but hardly the simulation of its joint better."
+    reason = "A wrong cause can make a balance smaller, but rarely improves the simulation of its joint."
 
     def limit(self, settings: Settings) -> float:
         return settings.verdict.worse
@@ -55,7 +55,7 @@ class WorseSimulation(Check[SimulatedCase]):
 
 
 def _instead(case: SimulatedCase, dropped: Planned) -> Selection | None:
-    """The selection with the best alternative to a cause that the simulation does not speak against."""
+    """The selection with the best alternative to a cause that does not make the simulation worse."""
     selection, best = case.selection, case.selection.best
     limits = best.settings.verdict
     k = best.effects.index(dropped)
@@ -78,8 +78,8 @@ def _instead(case: SimulatedCase, dropped: Planned) -> Selection | None:
 
 
 def _compared(case: SimulatedCase, best: Fit, fair: bool = False) -> Gain | None:
-    """A fit's simulation on held-out data; `fair`: with and without causes, each with the nominal
-    numbers where it would have them."""
+    """A fit's simulation on held-out data; `fair`: the models with and without causes are compared with the
+    nominal numbers corrected, each as its own fit has them."""
     nothing, known = (case.selection.nothing, None) if fair else (None, case.measured)
     return comparison(case.robot, case.recording, case.problem, best, known, nothing)
 
