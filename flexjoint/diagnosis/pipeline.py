@@ -102,7 +102,7 @@ class _Task:
     report: Progress
 
     def part(self, k: int, count: int) -> _Task:
-        """The search of one of so many recordings, with its share of the progress."""
+        """The task for one of `count` recordings, with its share of the progress."""
         share = SEARCHED / count
         return replace(self, report=_part(self.report, k * share, share))
 
@@ -113,7 +113,7 @@ def _checked(
     excluded: frozenset[str],
     payloads: Sequence[KnownPayload | None],
 ) -> tuple[list[Robot], list[Recording], tuple[str, ...]]:
-    """The nominal robot of each recording, what is looked at of each, and notes on what is not."""
+    """The nominal robot of each recording, the part of each that is examined, and notes on the rest."""
     robot, recordings = expect(robot, "diagnose"), expect_several(recordings, "diagnose")
     _check_names(excluded)
     robots = _loaded(robot, recordings, payloads)

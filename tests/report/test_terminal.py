@@ -212,7 +212,7 @@ def test_no_fall_is_no_gain():
         True, 0.5, {"nrmse": {"q.elbow": 0.2, "q.a": 0.9}}, {"nrmse": {"q.elbow": 0.2, "q.a": 0.1}}, {}
     )
     text = words(replace(CAUSES, comparison=gain))
-    assert "no measured signal of elbow errs less with it" in text
+    assert "the error of no measured signal of elbow becomes smaller with it" in text
 
 
 # ------------------------------------------------------------------ possible causes, tables, rigid joints

@@ -161,7 +161,8 @@ class Balances:
 
 class TwinBalances(Balances):
     """Balances of a recording, and (`denoised`) of the same recording with its positions denoised. Columns
-    that carry the residual's own noise would draw a regression towards numbers that shrink a balance."""
+    that carry the residual's own noise would bias a regression towards numbers that make a balance
+    smaller."""
 
     def __init__(self, motion: Motion, without_noise: Motion, *, denoised_rest: bool = True) -> None:
         """`denoised_rest`: whether the recording without noise says what a dry friction holds at rest."""

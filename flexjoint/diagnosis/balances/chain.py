@@ -89,8 +89,8 @@ class Chains:
         return self._recent.get(key, lambda: self._chain(i, effects), REMEMBERED)
 
     def rests_on_load(self, i: int, effects: Sequence[Planned]) -> bool:
-        """Whether an effect of joint i holds what its link carries: a dry friction of the link, or of a motor
-        whose spring does not tell its load."""
+        """Whether a dry friction of joint i carries the load of its link at rest: one of the link, or one of
+        a motor whose load does not follow from its spring."""
         sites = {e.effect.site for e in effects if e.effect.overrides("level")}
         return Site.LINK in sites or (
             Site.MOTOR in sites and (self.motion.robot.joints[i].rigid or self._floats(i))
@@ -171,8 +171,9 @@ class Chains:
         link_hat: np.ndarray | float,
         reading: np.ndarray,
     ) -> np.ndarray:
-        """Spectrum of what a motor pulls at: the spring's torque, by what tells it best. With unknown encoder
-        offsets that is known up to a constant only: the link's dynamics say it."""
+        """Spectrum of the load of a motor: the spring's torque, from the sensors that measure it best. With
+        unknown encoder offsets these give it up to a constant only, and it follows from the link's
+        dynamics."""
         if self.motion.robot.joints[i].rigid or self._floats(i):
             return self.filter.spectrum(self.loads.carried(i, bodies)) - link_hat
         return self.base(i).combined(spring_hat, reading)
@@ -183,7 +184,8 @@ class Chains:
         return self.floating and not np.isfinite(self.motion.readings.tau_t[i, 0])
 
     def _transmitted(self, i: int, readings: JointReadings, spring_hat: np.ndarray) -> np.ndarray:
-        """(N,) the torque of joint i's transmission; with unknown encoder offsets its load says it."""
+        """(N,) the torque of joint i's transmission; with unknown encoder offsets it follows from the
+        load."""
         if self.motion.robot.joints[i].rigid or self._floats(i):
             return self.motion.rigid.tau[i]
         return readings.spring if spring_hat is readings.spring_hat else self._time(spring_hat)
@@ -214,7 +216,7 @@ class Chains:
         base = self.base(i)
         torque = base.torque
         signals = Signals(t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta)
-        # 0 where a neighbour's is not recorded: then nothing shows what it does here
+        # 0 where a neighbour's torque is not recorded: then its effect here cannot be seen
         torques = [self.base(k).torque for k in range(len(self.motion.robot.joints))]
         signals.tau_m_before, signals.tau_m_after = neighbours(torques, i)
         for e in signal_order(effects):
@@ -367,8 +369,8 @@ class Chains:
     def _levels(
         self, effects: Sequence[Planned], signals: Signals, speed: np.ndarray, rest: float
     ) -> np.ndarray:
-        """(2, N) levels of the effects' dry friction backward and forward, as of a body at rest noise tells
-        where it goes. What they do below the speed that the data resolve is not known: held there."""
+        """(2, N) levels of the effects' dry friction backward and forward: at rest the sign of the measured
+        speed is noise. Below the speed that the data resolve, the levels at that speed are taken."""
         resolved = np.maximum(np.abs(speed), rest)
         ways = [replace(signals, dtheta=v, dq=v) for v in (-resolved, resolved)]
         levels = np.zeros((2, speed.size))

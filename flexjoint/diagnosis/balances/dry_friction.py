@@ -1,8 +1,9 @@
 """Dry friction on data: a set-valued law, where a body's speed and what pulls at it are measured.
 
-In motion it is level sgn(speed). At rest it is what holds the body, which the balance itself tells, within
-the levels of both directions; that is told without the sensors' noise, as a friction holds a body and no
-noise, but for where the body stops and breaks loose.
+In motion it is level sgn(speed). At rest it equals the torque that pulls at the body, which follows from the
+balance itself, within the levels of both directions. That torque is taken from the denoised recording, as a
+friction holds a body and not the sensors' noise, except near the times at which the body stops or breaks
+loose.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class DryFriction:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(F,) spectrum of the filtered friction torque, from its levels (2, N) backward and forward, and
         series (N,): the body's filtered speed, and what else pulls at it, as measured and without noise;
-        below the `rest` speed it stands. And where it holds, whatever pulls (N,) bool.
+        below the `rest` speed it stands. And where it sticks (N,), bool.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
@@ -68,8 +69,8 @@ class DryFriction:
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
         reach = 2 * int(np.ceil(self.settings.ringing * self._sigma / window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
-            # only where the filtered speed says so, too: where a body stands between two ways for longer than
-            # the filter, giving back what is lost would swing up
+            # the filtered speed must say so, too: where a body stands for longer than the filter between two
+            # motions, the iteration would become unstable
             moving = (np.abs(sharp_speed) > rest) & (np.sign(sharp_speed) * speed > rest)
             near = maximum_filter1d(moving, reach)
             sticking = np.clip(np.where(near, sharp_net, denoised_net + lost), least, most)

@@ -60,8 +60,8 @@ class JointReadings:
 
     @cached_property
     def precisions(self) -> np.ndarray:
-        """(3, F) one over the variance with which encoders, motor and torque sensor tell the spring's torque,
-        at each frequency; 0 of what is not there."""
+        """(3, F) one over the variance with which encoders, motor and torque sensor give the spring's torque,
+        at each frequency; 0 for one that is missing."""
         s, noise, j = 1j * self._window.omega, self._readings.noise, self._joint
         by_q, by_theta, by_sensor, by_torque = (noise[c][j] ** 2 for c in ("q", "theta", "tau_t", "torque"))
         encoders = np.abs(self._drive.K + self._drive.D * s) ** 2 * (by_q + by_theta)
@@ -75,9 +75,9 @@ class JointReadings:
     def combined(
         self, spring_hat: np.ndarray, reading: np.ndarray, motor_hat: np.ndarray | None = None
     ) -> np.ndarray:
-        """Spectrum of the spring's torque, which a friction holds against, as its deflection, its sensor and
-        (where it is not None) its motor tell it: each frequency by what tells it best, but the fast ones by
-        the deflection, which rounds a stop as the accelerations do that its torque is weighed against."""
+        """Spectrum of the spring's torque from its deflection, its sensor and (where it is not None) its
+        motor, weighted at each frequency by their precision. Fast parts come from the deflection alone, which
+        the filter rounds at a stop in the same way as the accelerations."""
         gains = self._gains[motor_hat is not None]
         if gains is None:
             return spring_hat

@@ -19,7 +19,7 @@ def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.n
     the mean decay of both its ends. Until the effect sets in its state rests, but for one that follows."""
     one, steady = np.ones_like(signals.t), {}
     for name in ("dq", "dtheta", "dphi"):
-        # before it the filter sees the record's edge, and a state would keep what that does
+        # near the edge of the recording the filter distorts a signal, and a state would keep that
         steady[name] = getattr(signals, name) * one
         steady[name][:begin] = steady[name][begin]
     signals, p = replace(signals, **steady), e.p

@@ -1,4 +1,4 @@
-"""The next experiment: a motion that tells apart what the last recording could not.
+"""The next experiment: a motion that distinguishes causes which the last recording could not.
 
 question (a diagnosis's ties, or the whole catalogue) -> search over motions within the limits, each simulated
 and asked for its evidence -> a reference, the odds to expect, and what to add where no motion decides.
@@ -27,7 +27,7 @@ from flexjoint.robot.robot import Robot, expect
 from flexjoint.simulation.simulate import Simulation
 
 DECISIVE = 6.0  # log odds (400 : 1) from which a diagnosis no longer calls two causes tied
-NOISE_DRAWS = 2  # of which the worse one is told
+NOISE_DRAWS = 2  # of which the worse one is reported
 
 Progress = Callable[[float, str], None]
 

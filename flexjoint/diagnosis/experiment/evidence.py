@@ -1,4 +1,4 @@
-"""What a simulated recording would tell: the odds of two hypotheses, and which effects it would show.
+"""What a simulated recording would show: the odds of two hypotheses, and which effects are visible in it.
 
 All questions to the diagnosis are asked here: its balances, its noise, its tolerances and its fits decide, so
 that odds are those which `flexjoint diagnose` will find.
@@ -81,7 +81,7 @@ def recorded(run: Simulation, sensors: Sensors, seed: int) -> Recording:
 
 
 class Evidence:
-    """One recording of a robot, to be asked."""
+    """One recording of a robot, and what it says about hypotheses."""
 
     def __init__(self, robot: Robot, recording: Recording) -> None:
         self.robot = robot

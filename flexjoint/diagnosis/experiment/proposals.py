@@ -18,7 +18,7 @@ from flexjoint.robot.robot import Robot
 SENSORS = ("q", "theta", "tau_t")
 LOAD_SHARE = 0.25  # of the torque limits that a payload at the end may take at rest
 LEAST_MASS = 0.05  # kg, below which nothing is proposed
-ARM = 0.1  # m, from the joint to the payload where the link's own centre of mass does not tell
+ARM = 0.1  # m, from the joint to the payload where the link's own centre of mass does not give it
 
 
 @dataclass(frozen=True)

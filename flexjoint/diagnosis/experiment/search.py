@@ -22,14 +22,14 @@ from flexjoint.simulation.simulate import Simulation
 DRAWS, CHANGES = 6, 4  # motions that are tried
 ROUNDS = 12  # of slowing down until a simulation keeps to the limits
 SLOWER = 0.85
-SATURATED = 100.0  # times DETECTABLE, beyond which more energy of an effect is worth nothing
+SATURATED = 100.0  # times DETECTABLE, beyond which more energy of an effect counts nothing
 
 Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion that keeps to the limits under what was found, and what it is worth."""
+    """A motion that keeps to the limits with the causes found, and its value."""
 
     waves: tuple[Wave, ...]
     score: float
@@ -94,7 +94,7 @@ def within_limits(
 def _judged(
     robot: Robot, question: Question, limits: Limits, waves: Sequence[Wave], seed: int
 ) -> Motion | None:
-    """A motion and its worth: the least odds in the question, or how much of the catalogue it shows."""
+    """A motion and its value: the least odds of the question, or how much of the catalogue it shows."""
     kept = within_limits(robot, [question.found], limits, waves)
     if kept is None:
         return None

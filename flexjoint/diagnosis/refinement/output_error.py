@@ -1,4 +1,4 @@
-"""Numbers of named causes refined by output error: what the simulation says against the readings themselves.
+"""Numbers of named causes refined by output error: the simulation is fitted to the readings themselves.
 
 The balances name the causes; here only their numbers move. Windows are simulated from start states of their
 own (`shooting`), residuals are readings minus simulation over their noise, nominal numbers move within
@@ -130,7 +130,7 @@ class Refinement:
         used = self._used(point)
         step, curvature = self._step(point, used), self._curvature(point, used)
         errors = np.sqrt(np.diag(self._inverse(curvature))[: self.k])
-        never = np.full_like(errors, np.inf)  # a number that no window tells of does not settle
+        never = np.full_like(errors, np.inf)  # a number that no window shows does not converge
         return step, float(np.max(np.divide(np.abs(step[: self.k]), errors, out=never, where=errors > 0.0)))
 
     def _moved(self, point: _Point, step: np.ndarray) -> _Point:
@@ -181,8 +181,8 @@ class Refinement:
         return effects
 
     def _step(self, point: _Point, used: np.ndarray) -> np.ndarray:
-        """(k + d,) Gauss-Newton step from some windows. Numbers that would leave their bounds are held, and
-        numbers that the recording does not show at all."""
+        """(k + d,) Gauss-Newton step from some windows. Numbers that would leave their bounds are
+        fixed, and so are numbers that the recording does not show at all."""
         curvature, slope = self._curvature(point, used), self._slope(point, used)
         free = np.ones(self.k + self.d, dtype=bool)
         free[: self.k] = np.diag(curvature)[: self.k] > (self.high - self.low) ** -2.0
@@ -201,7 +201,7 @@ class Refinement:
         scale = np.outer(size, size)
         return np.asarray(np.linalg.pinv(curvature / scale, rcond=1e-12, hermitian=True) / scale)
 
-    # --- what it is worth ------------------------------------------------------------------------------
+    # --- how good it is ------------------------------------------------------------------------------
     def _covariance(self, point: _Point, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(k, k), as `fit.covariance`: curvature outside, scores of blocks of time inside, never below the
         curvature's own; and by how much the scores have widened each error."""

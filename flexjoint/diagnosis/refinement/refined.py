@@ -21,8 +21,9 @@ from flexjoint.simulation.simulate import torque_channel
 
 
 def refine(best: Fit, found: Sequence[Finding], workers: int = 1) -> tuple[tuple[Finding, ...], Estimation]:
-    """Findings with the numbers of their effects refined on the simulation, or as they are where that does
-    not serve: the estimation says which, and why. So many `workers` (processes) share the simulations."""
+    """Findings with the numbers of their effects refined on the simulation; or unchanged, where that gives no
+    better numbers: the estimation says which, and why. `workers` is the number of processes that share the
+    simulations."""
     refinement = _begun(best, workers)
     why, follows = refinement if isinstance(refinement, str) else "", False
     if not isinstance(refinement, str):
@@ -49,24 +50,24 @@ def from_balances(best: Fit, why: str) -> Estimation:
 
 
 def _known_better(best: Fit, estimate: Estimate) -> str:
-    """Why numbers need no refinement: the simulation confirms them, and knows them less well itself. Windows
-    tell slow torques from noise less well than a whole recording does."""
+    """Why numbers need no refinement: the simulation confirms them, with larger standard errors. Short
+    windows separate slow torques from noise less well than the whole recording does."""
     limits = best.settings.refinement
     own, std = (
         np.sqrt(np.maximum(np.diag(c), 1e-300)) for c in (number_covariance(best), estimate.covariance)
     )
     moved = estimate.numbers - np.array([slot.get(best.effects) for slot in best.slots])
     if np.median(std / own) > limits.less_well and np.all(np.abs(moved) < limits.confirmed * std):
-        return "the simulation confirms them, and knows them less well"
+        return "the simulation confirms them, with larger standard errors"
     return ""
 
 
 def _begun(best: Fit, workers: int) -> Refinement | str:
     """A refinement on windows as long as the simulation stays with the readings, or why there is none.
 
-    A long window tells slow torques from noise (a torque moves a link by the square of the time), but what
-    the model lacks and what is unstable grows in it. So it is halved while that lowers the residual by a
-    third.
+    A long window separates slow torques from noise well (a torque moves a link by the square of the time),
+    but errors of the model and unstable motions grow in it. So it is halved as long as that lowers the
+    residual by a third.
     """
     limits = best.settings.refinement
     why = _unfit(best.problem.robot, best.problem.readings.recording)
@@ -122,7 +123,7 @@ def _better(shorter: Refinement, longer: Refinement) -> bool:
 
 
 def _follows(estimate: Estimate, settings: Settings) -> bool:
-    """Whether the simulation follows the readings to their noise, with nominal numbers that machines have."""
+    """Whether the simulation follows the readings up to their noise, with plausible nominal numbers."""
     limits = settings.refinement
     to_noise = estimate.level < limits.follows and estimate.outlying <= limits.few_outlying
     return bool(to_noise and estimate.converged and estimate.furthest <= settings.regression.plausible)

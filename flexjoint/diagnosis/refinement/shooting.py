@@ -1,5 +1,5 @@
-"""A recording cut into short windows, each simulated from a start state of its own (multiple shooting; Bock
-1983), and what the readings say about the numbers common to all windows.
+"""A recording cut into short windows, each simulated from its own start state (multiple shooting; Bock 1983),
+and what the readings say about the numbers common to all windows.
 
 A window's start is unknown: its measured value begins the search, and it is eliminated window by window.
 """
@@ -164,7 +164,7 @@ class Shooting:
 
     def _measured_starts(self) -> tuple[np.ndarray, np.ndarray]:
         """(windows, nx) the measured states at the windows' starts, and (nx,) their prior deviations, which
-        are nearly flat: the samples that told the state must not count twice."""
+        are nearly flat: the samples from which the state was estimated must not count twice."""
         limits = self.problem.settings.refinement
         model, noise = self.model, self.problem.readings.noise
         length = self.steps / self.rate

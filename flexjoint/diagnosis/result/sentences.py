@@ -1,4 +1,4 @@
-"""The verdict in plain sentences, three statements apart: is it there, is it all, is it this law?"""
+"""The verdict in plain sentences, in three statements: is it there, is it all, is it this law?"""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def numbers(diagnosis: Result) -> tuple[str, ...]:
     said = [
         sentence(
             f"The errors of {_parameter(one)} and {_parameter(other)} are correlated by {size:.2f}: this"
-            " recording knows one of them only together with the other"
+            " recording determines them only together"
         )
         for one, other, size in estimation.tight(TIGHT)[:MOST_PAIRS]
     ]
@@ -190,7 +190,9 @@ def moved(finding: Finding, gain: Gain | None, joints: Joints) -> str:
     most = max(own, key=lambda e: e.before - e.after)
     if most.after >= most.before:
         where = f"of {clean(finding.joint)}" if finding.joint is not None else "of the robot"
-        return f"In the simulation of {data}, no measured signal {where} errs less with it."
+        return (
+            f"In the simulation of {data}, the error of no measured signal {where} becomes smaller with it."
+        )
     parts = [f"{percent(most.before)} → {percent(most.after)} of its standard deviation"]
     if math.isfinite(most.rms_before) and math.isfinite(most.rms_after):
         unit = unit_of(most.channel, most.joint in joints.prismatic)
@@ -302,7 +304,7 @@ def _error_stays(gain: Gain | None) -> tuple[str, ...]:
 def _departs(gain: Gain, total: merit.Overall) -> str:
     floor = "" if math.isnan(total.floor) else f" (sensor noise alone: {percent(total.floor)})"
     return (
-        f"Restarted from the measured state every {gain.horizon:g} s, the simulation departs by"
+        f"Restarted from the measured state every {gain.horizon:g} s, the simulation differs by"
         f" {percent(total.before)} of the signals' standard deviation{floor}"
     )
 

@@ -1,4 +1,4 @@
-"""Of a recording that is larger than a search can take: what is looked at.
+"""The part of a recording that is examined, where the whole is too large for a search.
 
 Time and memory grow with samples times joints, and of many joints faster. So of a large recording fewer
 samples a second are taken, as long as the balances' filter smooths away what lies between them, and then the
@@ -21,13 +21,13 @@ LARGEST = 420_000  # samples times joints: two gigabytes and a few minutes ...
 MANY = 7  # ... for so many joints; of more, the tolerances of each on the samples of all count
 ENOUGH = 500.0  # Hz, at which the filter is as narrow as it ever is
 WHOLE = 0.9  # of a channel's share of samples: below it every k-th row misses a channel of a rate of its own
-SEEN = 0.05  # s, over which a joint's speed is taken
+SEEN = 0.05  # s, over which a joint's speed is averaged
 PLACES = 50  # at which a stretch may begin
 
 
 def excerpts(robot: Robot, recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
-    """The recordings as they are looked at, and notes about what was repaired, left out or cut. Each has its
-    share of what a search takes.
+    """The recordings as they are examined, and notes about what was repaired, left out or cut. Together they
+    are no larger than a search can take.
 
     Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.channels`)."""
     recordings = [inspected(robot, without_pauses(recording)) for recording in recordings]
@@ -36,9 +36,9 @@ def excerpts(robot: Robot, recordings: Sequence[Recording]) -> tuple[list[Record
     most = int(LARGEST / (joints * max(1.0, joints / MANY)) / len(recordings))
     kept = [_excerpt(robot, recording, most) for recording in recordings]
     notes = tuple(
-        f"{old.name} is larger than what a search takes ({old.time.size} samples of {joints} joints):"
-        f" {new.time[0]:.4g} to {new.time[-1]:.4g} s were looked at, at {1.0 / new.period:.4g} Hz;"
-        " cut the file for another part"
+        f"{old.name} is too large for one search ({old.time.size} samples of {joints} joints): only"
+        f" {new.time[0]:.4g} to {new.time[-1]:.4g} s were examined, at {1.0 / new.period:.4g} Hz; to examine"
+        " another part, cut the file to it"
         for old, new in zip(recordings, kept, strict=True)
         if new is not old
     )

@@ -25,7 +25,7 @@ from flexjoint.robot.robot import Robot
 
 FILTER_SAMPLES = 2.0  # ... this many samples, below which its sampled kernel aliases
 PADDED_SIGMAS = 4.5  # of the filter, within which it mixes in what lies beyond an end
-WELCH_SEGMENT = 1024  # samples, of the spectrum from which noise is told from motion
+WELCH_SEGMENT = 1024  # samples, of the spectrum by which noise is separated from motion
 SLOWER = 1.5  # times the table's period between a channel's samples, from which it has a rate of its own
 
 

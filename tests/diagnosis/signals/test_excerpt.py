@@ -1,4 +1,4 @@
-"""What is looked at of a recording that is larger than a search can take."""
+"""The part of a recording that is examined, where the whole is too large for a search."""
 
 from __future__ import annotations
 
@@ -124,5 +124,5 @@ def test_a_cause_is_found_in_the_excerpt(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(excerpt, "LARGEST", recorded.time.size // 2)
     found = diagnose(LEVER, [recorded])
     assert [f.effect for f in found.findings] == ["motor_coulomb_friction"]
-    assert any("larger than what a search takes" in note for note in found.notes)
+    assert any("too large for one search" in note for note in found.notes)
     assert found.residuals and np.ptp(found.residuals[0].time) < 0.6 * recorded.duration
