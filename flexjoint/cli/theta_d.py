@@ -80,7 +80,7 @@ def read_poses(path: Path, loaded: Robot) -> Poses:
         if joint not in places:
             raise RecordingError(f"{path}: column {column}: {unknown('joint', joint, places)}")
         if joint in seen:
-            raise RecordingError(f"{path}: joint {joint} stands in {seen[joint]} and {column}; keep one")
+            raise RecordingError(f"{path}: joint {joint} appears in {seen[joint]} and in {column}; keep one")
         seen[joint] = column
         q[:, places[joint]] = values
     lacking = [name for name in loaded.joint_names if name not in seen]
@@ -158,7 +158,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     out: dict[str, np.ndarray] = {}
     for name in names:
         if names.count(name) > 1:
-            raise RecordingError(f"{path}: column {name} stands twice; keep one")
+            raise RecordingError(f"{path}: column {name} appears twice; keep one")
         column = table.column(name)
         if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
             raise RecordingError(f"{path}: column {name} holds {column.type}, expected numbers")
@@ -166,7 +166,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         wrong = np.flatnonzero(~np.isfinite(values))
         if wrong.size:
             raise RecordingError(
-                f"{path}: column {name} has no number in row {wrong[0] + 1}; a pose is whole"
+                f"{path}: column {name} has no number in row {wrong[0] + 1}; a pose needs all of its numbers"
             )
         out[name] = values
     return out

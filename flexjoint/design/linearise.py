@@ -143,7 +143,7 @@ def refuse_contacts(model: FlexibleJointModel) -> None:
     """Raises ModelError for a model with contacts, which a linear model here knows nothing of."""
     if model.ground is not None:
         raise ModelError(
-            f"{model.robot.name} stands on contacts, which linear models do not know: fix its base"
+            f"{model.robot.name} stands on contacts, which linear models cannot have: fix its base"
             " (grounded=True of flexjoint.robot.robot.load), or take them away (dataclasses.replace(robot,"
             " contacts=()))"
         )

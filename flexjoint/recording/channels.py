@@ -19,7 +19,7 @@ MEASURED = ("q", "theta", "tau_t", "tau_motor", "dq", "dtheta")  # a command and
 
 # repeated samples
 RUNS = 50  # changes of a channel, at least, that tell at which rows it changes
-SHORTER = 0.02  # share of its runs that may be shorter than usual: a channel that is held has none
+SHORTER = 0.02  # share of its runs that may be shorter than usual: a channel whose samples are held has none
 USUAL = 0.8  # share of usual ones; the others are longer, where the machine stands still
 COARSE = 3.0  # steps of an encoder by which it changes, up to which its runs are those of rounding
 

@@ -128,8 +128,8 @@ def check_signs(robot: Robot, recording: Recording) -> None:
             if dynamics is not None and dynamics.unsigned(name):
                 raise refusal(
                     recording.name,
-                    f"{channel}.{name} keeps one sign although the motion takes torques of both, and follows"
-                    " their size: a current or torque without its sign; record it with its sign",
+                    f"{channel}.{name} has one sign only, although the motion needs torques of both signs,"
+                    " and it follows their magnitude: the sign is missing; record it with its sign",
                 )
 
 
@@ -240,7 +240,7 @@ def _refuse_units(dynamics: _Torques, recording: Recording, names: Sequence[str]
         if dynamics.speak_for(names, factor):
             raise refusal(
                 recording.name,
-                f"the torques that the motion of {columns} takes agree with the measured"
+                f"the torques that the motion of {columns} needs agree with the measured"
                 f" ones only when {said} by {DEGREES:.1f}: {_slip(said == 'divided')}; {REMEDY}",
             )
 

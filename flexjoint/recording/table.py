@@ -172,10 +172,10 @@ def expect(given: object, verb: str) -> Recording:
     if isinstance(given, Recording):
         return given
     if isinstance(given, str | os.PathLike):
-        told = f"the text {str(given)!r}; read it with read_recording({str(given)!r})"
+        kind = f"the text {str(given)!r}; read it with read_recording({str(given)!r})"
     else:
-        told = f"a {type(given).__name__}; read one with read_recording(path)"
-    raise RecordingError(f"{verb}: expected a recording, got {told}")
+        kind = f"a {type(given).__name__}; read one with read_recording(path)"
+    raise RecordingError(f"{verb}: expected a recording, got {kind}")
 
 
 def expect_several(given: object, verb: str) -> tuple[Recording, ...]:
@@ -241,7 +241,7 @@ def _from_table(table: pa.Table, names: list[str], path: Path) -> Recording:
         raise refusal(path, f"the first column must be `time` [s], got {first}")
     repeated = sorted(name for name, count in Counter(names).items() if count > 1)
     if repeated:
-        raise refusal(path, f"column {shown(repeated[0])} stands twice; keep one")
+        raise refusal(path, f"column {shown(repeated[0])} appears twice; keep one")
     columns: dict[tuple[str, str], np.ndarray] = {}
     for name in names[1:]:
         channel, dot, joint = name.partition(".")

@@ -156,7 +156,9 @@ def record_golden(run: GoldenRun, path: str | os.PathLike[str]) -> None:
     out = _parquet(path)
     for name, values in run.signals.items():
         if not np.all(np.isfinite(values)):
-            raise FlexJointError(f"{out}: signal {name} is not finite everywhere; such a run is no standard")
+            raise FlexJointError(
+                f"{out}: signal {name} is not finite everywhere; such a run cannot be a golden file"
+            )
     about = json.dumps({"schema": SCHEMA, **_plain(run.about)}, sort_keys=True)
     table = pa.table({"time": run.time, **run.signals}).replace_schema_metadata({KEY: about.encode()})
     sink = io.BytesIO()

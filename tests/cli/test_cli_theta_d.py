@@ -132,7 +132,11 @@ def test_a_robot_on_its_feet(tmp_path: Path) -> None:
         ({"q__shoulder": 0.1}, (), "no column q.elbow"),
         ({"q__shoulder": 0.1, "q__ellbow": 0.2}, (), "joint 'ellbow' (did you mean 'elbow'?)"),
         ({"q__shoulder": 0.1, "q__elbow": 0.2, "w__elbow": 0.1}, (), "column 'w.elbow'"),
-        ({"q__shoulder": 0.1, "q__elbow": 0.2, "q_ref__elbow": 0.1}, (), "stands in q.elbow and q_ref.elbow"),
+        (
+            {"q__shoulder": 0.1, "q__elbow": 0.2, "q_ref__elbow": 0.1},
+            (),
+            "appears in q.elbow and in q_ref.elbow",
+        ),
         ({"q__shoulder": [0.1, 0.2], "q__elbow": [0.2, ""]}, (), "q.elbow has no number in row 2"),
         ({"q__shoulder": 0.1, "q__elbow": "bent"}, (), "q.elbow holds string"),
         ({"time": [1, 0], "q__shoulder": [0, 0], "q__elbow": [0, 0]}, (), "time must increase"),

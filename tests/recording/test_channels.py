@@ -137,7 +137,7 @@ def test_torques_without_sign_are_refused_and_those_of_one_sign_are_not() -> Non
     wrong = changed(tau_m=None, tau_motor=np.abs(tau))
     for use in (lambda: check(nominal(CASE.robot), wrong), lambda: excerpts(nominal(CASE.robot), [wrong])):
         with pytest.raises(
-            RecordingError, match=r"tau_motor\.swing keeps one sign .* record it with its sign"
+            RecordingError, match=r"tau_motor\.swing has one sign only, .* record it with its sign"
         ):
             use()
 

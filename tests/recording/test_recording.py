@@ -130,7 +130,7 @@ def test_too_few_samples_are_refused(tmp_path: Path) -> None:
 def test_a_repeated_column_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "rec.csv"
     path.write_text("time,q.elbow,q.elbow\n" + "\n".join(f"{k},1,2" for k in range(60)))
-    assert "q.elbow stands twice" in message(path)
+    assert "q.elbow appears twice" in message(path)
 
 
 @pytest.mark.parametrize(

@@ -261,7 +261,7 @@ def images(html: str, frames: Sequence[int], folder: Path, size: tuple[int, int]
             out.append(folder / f"frame_{k:05d}.png")
             out[-1].write_bytes(browser.frame(index))
         if browser.said.errors:
-            raise FlexJointError(f"the page complained: {' '.join(browser.said.errors[0].split())}")
+            raise FlexJointError(f"the page reported an error: {' '.join(browser.said.errors[0].split())}")
     return out
 
 

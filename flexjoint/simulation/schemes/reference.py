@@ -276,11 +276,11 @@ def _advance(solver: Any) -> None:
 def _refuse_delays(model: FlexibleJointModel) -> None:
     if longest_delay(model) > 0.0:
         raise ModelError(
-            "continuous control knows no delays: take delays of command, sensors and `sensing_delay` out of"
-            " the robot, or use closed_loop with the scheme reference"
+            "continuous control cannot have delays: take delays of command, sensors and `sensing_delay` out"
+            " of the robot, or use closed_loop with the scheme reference"
         )
     if model.ground is not None:
         raise ModelError(
-            "continuous control knows no contacts, whose anchors slip between steps: use closed_loop with the"
-            " scheme reference"
+            "continuous control cannot have contacts, whose anchors slip between steps: use closed_loop with"
+            " the scheme reference"
         )
