@@ -310,7 +310,7 @@ class SearchSettings(Stage):
     filtered: float = number(
         1e-5,
         "share of the explained energy",
-        "by which laws differ as filtered balances see their kinks: the plainer one is taken",
+        "by which laws differ as filtered balances see their kinks: the simpler one is taken",
         "judgement",
     )
     filtered_reconstructed: float = number(
@@ -643,7 +643,7 @@ class VerdictSettings(Stage):
         0.95, "share of the error", "that must be left without such a cause for it to be dropped", "judgement"
     )
     alternatives_tried: int = number(
-        3, "alternatives", "in the place of a cause that the simulation speaks against", "judgement"
+        3, "alternatives", "in the place of a cause that makes the simulation worse", "judgement"
     )
     # --- ties
     tie: float = number(
@@ -757,7 +757,7 @@ class VerdictSettings(Stage):
         0.5,
         "probability",
         "that a name keeps with which the simulation follows the readings of one side",
-        "study: 4 of 8 that left 300 times the noise, where half of the machines held an unknown effect",
+        "study: 4 of 8 that left 300 times the noise, where half of the machines had an unknown effect",
     )
     # --- what else is said
     hidden: float = number(
@@ -765,7 +765,7 @@ class VerdictSettings(Stage):
     )
     same: float = number(3.0, "standard errors", "within which joints share one value", "judgement")
     notable: float = number(
-        2.0, "standard errors", "by which a nominal number must be off to be worth a line", "judgement"
+        2.0, "standard errors", "by which a nominal number must be off to be reported", "judgement"
     )
     least_off: float = number(0.25, "prior deviations", "by which it must be off, too", "judgement")
     believed: float = number(
