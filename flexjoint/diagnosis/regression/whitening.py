@@ -34,15 +34,15 @@ DRAWS, DRAWN = 6, 5  # ... and draws, of this seed
 
 @dataclass(frozen=True)
 class Band:
-    """What of some balances lies in the whitened band: much smaller than their whitened series, as a balance
-    leaves a mark in all that come after it."""
+    """The spectra of some balances within the whitened band. They are much smaller than whitened series, for
+    a whitened series of a balance contains parts of all balances before it."""
 
     rows: np.ndarray  # (k,) ascending
     spectra: np.ndarray  # (k, F_band)
 
     @property
     def first(self) -> int:
-        """The first balance in which it leaves a mark; 0 where there is none."""
+        """The first balance that is not zero; 0 where there is none."""
         return int(self.rows[0]) if self.rows.size else 0
 
     @property
@@ -79,11 +79,11 @@ class Whitening:
         return self.white(self.band(dict(enumerate(spectra))))
 
     def band(self, spectra: Mapping[int, np.ndarray]) -> Band:
-        """What of some balances' spectra (F,), by row, is whitened."""
+        """The part of some balances' spectra (F,), by row, that is whitened."""
         used = np.array([row for row in sorted(spectra) if np.any(spectra[row])], dtype=int)
         if not used.size:
             return Band(used, np.zeros((0, self.taper.size), dtype=complex))
-        # what lies beyond edges and gaps is cut off first: the whitening must not smear it
+        # what lies beyond edges and gaps is cut off first, for whitening would spread it over the record
         series = fft.irfft(np.array([spectra[row] for row in used]), self.size, axis=-1)
         series *= self.window
         return Band(used, fft.rfft(series, axis=-1)[:, : self.taper.size] * self.taper)
@@ -160,9 +160,9 @@ def make(
 
 
 def _steady(whitening: Whitening) -> np.ndarray:
-    """Indices of the white samples in which what was cut off at the record's edges and gaps is hardly
-    missing: where little damps it, a whitening rings for as long as the joint does. Drawn, not solved for:
-    balances of the predicted noise, and what the window leaves out of them."""
+    """Indices of the white samples that lack little of what was cut off at the record's edges and gaps: where
+    damping is low, a whitening rings for as long as the joint does. Found by random draws: balances of the
+    predicted noise, and the part of them that the window cuts off."""
     limits = whitening.noise.balances.settings.regression
     rng = np.random.default_rng(DRAWN)
     band, rows = whitening.taper.size, len(whitening.matrix)
@@ -192,7 +192,8 @@ def _window(balances: Balances) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Noise:
-    """What sensor noise makes of balances that are linearised about the mean of a motion; n joints."""
+    """The noise of the balances that the sensors' noise causes, linearised about the mean of a motion; n
+    joints."""
 
     balances: Balances
     drives: tuple[Drive, ...]
@@ -249,9 +250,10 @@ class Noise:
         return out
 
     def _adding(self, i: int, omega: np.ndarray) -> np.ndarray:
-        """(F,) covariance of joint i's torque and theta where the spring's torque is the larger part of what
-        theta says: there the two add up. Beyond, where the motor's inertia is, they would cancel; but a
-        controller that saw another noise than the recorded one makes them independent."""
+        """(F,) covariance of the noise of joint i's torque and theta, for a controller that makes the torque
+        of theta: at frequencies at which the spring's torque exceeds that of the motor's inertia the two add
+        up. Above these they would cancel, but count as independent: the controller may have seen another
+        noise than the recorded one."""
         drive, colour = self.drives[i], self.colours.get(len(self.drives) + i)
         share = 1.0 if colour is None else np.minimum(1.0, colour.at(omega))
         return np.where(drive.B * omega**2 < drive.K, share * self.shared[i], 0.0)
@@ -315,13 +317,13 @@ def _row_transfer(
 
 
 def sensor_slope(e: Planned) -> float:
-    """How much a sensor effect magnifies its channel."""
+    """The factor by which a sensor effect scales its channel."""
     signals, p = Signals(), e.p
     return float(e.effect.map(signals, p, 1.0) - e.effect.map(signals, p, 0.0))
 
 
 def changes_noise(e: Planned) -> bool:
-    """Whether an effect changes what sensor noise makes of the balances."""
+    """Whether an effect changes how the sensors' noise enters the balances."""
     if e.effect.site is Site.SENSOR:
         return not np.isclose(sensor_slope(e), 1.0, atol=0.01)
     return e.effect.overrides("edit_drive") or e.effect.overrides("edit_inertial")
@@ -346,7 +348,7 @@ def _drive(joint: Joint, effects: Sequence[Planned]) -> Drive:
 
 def _masses(balances: Balances, effects: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray]:
     """(N', n, n) mass matrices along the motion with what BODY effects add, and (N',) which of them are of
-    usable samples. Where they are made anew, every few samples tell their mean and spread."""
+    usable samples. Where they are computed again, a part of the samples is enough for mean and spread."""
     motion = balances.motion
     inertial = inertial_of(motion.robot.model)
     changed = False

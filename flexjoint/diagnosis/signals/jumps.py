@@ -1,8 +1,8 @@
-"""What a motor's torque did between two samples.
+"""The unknown torque of a motor between two samples, where it jumps.
 
-A controller that reverses a torque at its limit may do so at any of the ticks between two recorded ones.
-When it did is not known, and an impulse as large as the jump times a share of the period is missing or too
-much: no sensor's noise, and none that is the same at all times.
+A controller that reverses a torque at its limit may do so at any tick between two recorded ones. The tick is
+not recorded, so the impulse of the torque is wrong by up to the jump times a part of the period. This is no
+sensor noise, and it does not have the same size at all times.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from flexjoint.recording.noise import step_of, usual_noise
 
 # a parabola through three samples, half a period and a period beyond the last of them
 HALF_AHEAD, ONE_AHEAD = np.array([1.875, -1.25, 0.375]), np.array([3.0, -3.0, 1.0])
-FEWEST = 6  # samples, that tell a jump
+FEWEST = 6  # samples, from which a jump can be found
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def jumps(readings: Readings) -> np.ndarray:
 
 
 def _noise(torque: np.ndarray, settings: SignalSettings) -> float:
-    """Of a torque of few levels its steps are no noise: it jumps among them."""
+    """[N m] of a torque. Where it has few levels only, its steps count as jumps, not as noise."""
     step = step_of(torque)
     return max(
         usual_noise(torque), step / np.sqrt(12.0) if np.ptp(torque) > settings.sensor_levels * step else 0.0
@@ -72,8 +72,8 @@ def unknown_shapes(readings: Readings, i: int, rate: float) -> np.ndarray:
 
 
 def _sizes(torque: np.ndarray) -> np.ndarray:
-    """(N,) size of the jump between a sample and the next: what the samples on both sides do not agree on
-    half-way, or a sample in the middle of a jump with neither of them."""
+    """(N,) size of the jump between a sample and the next: by how much the predictions from both sides differ
+    half-way, or by how much a sample in the middle of a jump differs from both."""
     out = np.zeros_like(torque)
     apart = np.abs(_predicted(torque, HALF_AHEAD)[:-1] - _predicted(torque[::-1], HALF_AHEAD)[::-1][1:])
     ahead, behind = _predicted(torque, ONE_AHEAD), _predicted(torque[::-1], ONE_AHEAD)[::-1]
