@@ -221,6 +221,7 @@ def _moved(healthy: Recorded) -> list[Moved]:
         rms(theta - q),
         (q.max(axis=0) + q.min(axis=0)) / 2,
         np.ptp(q, axis=0) / 2,
+        np.minimum(np.mean(run.torques[first:] > 0, axis=0), np.mean(run.torques[first:] < 0, axis=0)),
     )
     return [Moved(*(float(values[j]) for values in found)) for j in range(n)]
 

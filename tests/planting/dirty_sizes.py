@@ -63,6 +63,9 @@ HEAVIEST = 3.0  # a payload, in masses of its link
 LATE = 0.12  # of the time in which a controller answers, that its readings may be late
 KNOWN_BY = {"motor_inertia": "inertial", "spring_stiffness": "stiffness", "torque_gain": "inertial"}
 """The tolerance in which an effect would be lost."""
+REVERSING = 0.1
+"""Share of the time in which a torque must have its rarer sign, for a dead command that is to be unknown: where
+it never turns, what is taken away of it is a constant torque, which the catalogue has."""
 BEYOND_TOLERANCE = 4.0  # standard deviations that a large one of these is off, at least
 AS_SENSED = (10, 40)  # cycles a turn of cogging and of gears
 GEAR_CYCLES, PATH_CYCLES = (2, 16), (1, 6)
@@ -78,6 +81,7 @@ class Moved:
     deflection: float  # rad
     middle: float  # rad
     reach: float  # rad, from the middle to the ends
+    reversing: float  # share of the time in which the torque has its rarer sign
 
 
 def unsized(
@@ -173,6 +177,8 @@ def unsized(
     own = law(effect)
     if own.site == "transmission" and rigid:
         raise ValueError(f"{effect} needs a spring")
+    if effect == "dead_command" and unknown and moved.reversing < REVERSING:
+        raise ValueError(f"{effect} needs a torque that changes its sign")
     if "side" in own.words:
         n = len(robot.joints)
         if n == 1:

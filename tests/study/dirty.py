@@ -36,6 +36,10 @@ GOALS = {
 WANTED = {"causes": "95 %", "sure": "85 %", "surer": "97 %", "background": "0", "unknown": "0"}
 
 
+ONE_SIDED = {"motor_coulomb_friction", "torque_offset"}
+"""Together they are an asymmetric friction, number for number."""
+
+
 @dataclass(frozen=True)
 class Name:
     """A finding of a record, and what it stands for: cause, background, number or nothing."""
@@ -61,6 +65,9 @@ def same(finding: Record, planted: Record, record: Record) -> bool:
     named = [finding["effect"], finding["joint"]]
     alone = record["joints"] == 1 and finding["joint"] is None
     if named == key or key in finding["ties"] or (alone and finding["effect"] == planted["effect"]):
+        return True
+    there = {t["effect"] for t in record["truth"] if t["joint"] == planted["joint"]}
+    if named == ["asymmetric_friction", planted["joint"]] and {planted["effect"]} <= ONE_SIDED <= there:
         return True
     groups = (*GROUPS, *(SAME_ON_RIGID if rigid(record, planted["joint"]) else ()))
     alike = any({finding["effect"], planted["effect"]} <= group for group in groups)

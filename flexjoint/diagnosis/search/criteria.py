@@ -17,6 +17,7 @@ from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.effects import Kind, Parameter, Planned, Site
+from flexjoint.rigidbody.numeric import inertial_of
 
 LEVEL_ROUNDS = 5  # fits at most, each at the noise level that the last one left, until
 SAME_LEVEL = 0.1  # the logarithm of the level changes by less than this
@@ -66,13 +67,16 @@ def at_own_level(result: Fit) -> Fit:
 def degenerate(problem: Problem, planned: Planned) -> bool:
     """Whether the fitted numbers of an effect mean nothing: its size is zero; a shape parameter is at its
     bound or below what the sensors resolve, so that a simpler law does the same; its size is at the upper
-    bound; or its torque is far above both the torques of its joint and the torque that it shows in any
-    balance (a peak of friction below the speeds that the data resolve)."""
+    bound; it is a load with which what the joint carries weighs less than nothing; or its torque is far above
+    both the torques of its joint and the torque that it shows in any balance (a peak of friction below the
+    speeds that the data resolve)."""
     limits = problem.settings.search
     sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
     if all(np.all(np.ravel(size) == p.null) for size, p in sizes):
         return True
     if any(np.any(np.isclose(size, p.high, rtol=limits.at_bound, atol=0.0)) for size, p in sizes):
+        return True
+    if _weightless(problem, planned):
         return True
     if planned.joint is not None:
         named = [planned.values[p.name] for p in planned.effect.nulls if p.unit == "N m" and p.null == 0.0]
@@ -87,6 +91,16 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
         np.isclose(planned.values[p.name], (p.low, p.high), rtol=limits.at_bound, atol=0.0).any()
         for p in shapes
     ) or _unseen(problem, planned, shapes)
+
+
+def _weightless(problem: Problem, planned: Planned) -> bool:
+    """Whether with a load the bodies that its joint carries would have a negative mass together."""
+    if planned.joint is None or not planned.effect.overrides("edit_inertial"):
+        return False
+    model, joint = problem.robot.model, problem.robot.joint(planned.joint).pin_id
+    body = list(inertial_of(model)[joint - 1])
+    added = float(planned.effect.edit_inertial(body, planned.p)[0]) - float(body[0])
+    return added + sum(float(model.inertias[k].mass) for k in model.subtrees[joint]) < 0.0
 
 
 def _unseen(problem: Problem, planned: Planned, shapes: Sequence[Parameter]) -> bool:

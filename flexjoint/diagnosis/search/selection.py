@@ -102,7 +102,7 @@ def _select(problem: Problem, search: Search, report: Progress, start: Sequence[
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.pool)
         if pairs and len(best.effects) < most_effects(problem):
             pair = prune(choose(pairs))
-            if _keys(pair) not in seen:
+            if _keys(pair) not in seen and _still_better(pair, best):
                 trace += steps_between(
                     best, pair, STAGE, "pair with a rival", "the pair clears what was wrong"
                 )
@@ -112,6 +112,10 @@ def _select(problem: Problem, search: Search, report: Progress, start: Sequence[
         if len(places) < len(best.effects):  # in the end the rivals of all effects are those of the final set
             before, (best, rivals) = best, exchange(search, best, best.effects)
             trace += _exchanged(before, best)
+            compared = {e.key: _neighbours(best, e) for e in best.effects}
+            if _keys(best) not in seen:
+                seen.add(_keys(best))
+                continue
         break
     first, last = (scans[0], scans[-1]) if scans else ((), ())
     return Selection(best, nothing, first, last, rivals, trace=tuple(trace))
@@ -137,18 +141,38 @@ def _grown(
         grown = _best_at_own_level(best, found)
         if grown is None:
             break
-        trace += steps_between(best, grown, STAGE, "price", "it explains more than its price")
-        best = prune(grown)
+        grown = _with_other_joints(grown, found)
+        before, best = best, prune(grown)
+        if _keys(best) in seen:  # it would lead there again
+            return before
+        trace += steps_between(before, grown, STAGE, "price", "it explains more than its price")
         why = "beside the others it no longer explains its price"
         trace += steps_between(grown, best, STAGE, "price", why)
-        if _keys(best) in seen:
-            break
         seen.add(_keys(best))
-        newest = best.effects[-1]
-        older = [e for e in best.effects if e.joint == newest.joint and e is not newest]
+        newest = {e.joint for e in best.effects if e.key not in _keys(before)}
+        older = [e for e in best.effects if e.joint in newest and e.key in _keys(before)]
         before, (best, _) = best, exchange(search, best, older)
         trace += _exchanged(before, best)
     return best
+
+
+def _with_other_joints(grown: Fit, found: Sequence[Fit]) -> Fit:
+    """The set with the best of the other sets' causes on each other joint as well: one round serves all
+    joints, as a cause that acts within its joint does not replace one on another joint. A load acts on many
+    joints: as long as a set with a load is among those found, causes enter one by one."""
+    newest = [f.effects[-1] for f in found]
+    if not all(acts_within_a_joint(e) for e in newest):
+        return grown
+    joints = {grown.effects[-1].joint}
+    others: list[Planned] = []
+    for trial in sorted(found, key=score):
+        e = trial.effects[-1]
+        if e.joint not in joints:
+            joints.add(e.joint)
+            others.append(e)
+    if not others:
+        return grown
+    return at_own_level(fit(grown.problem, [*grown.effects, *others]))
 
 
 def _exchanged(before: Fit, after: Fit) -> tuple[Step, ...]:
@@ -272,17 +296,32 @@ def united(result: Fit) -> Fit:
 
 
 def prune(result: Fit) -> Fit:
-    """Drop, one by one, the effects that the data do not support beside the others."""
+    """Drop, one by one, the effects that the data do not support beside the others. A special case of an
+    effect's law takes its place where the data support that."""
     result = united(result)
     while len(result.effects) > 1:
-        cheapest: Fit | None = None
+        smaller: list[Fit] = []
         for dropped in result.effects:
             without = refit_without(result, dropped)
-            if not supported(result, without, dropped) and (
-                cheapest is None or score(without) < score(cheapest)
-            ):
-                cheapest = without
-        if cheapest is None:
+            if not supported(result, without, dropped):
+                smaller.append(min([without, *_simpler(result, without, dropped)], key=score))
+        if not smaller:
             return result
-        result = cheapest
+        result = min(smaller, key=score)
     return result
+
+
+def _simpler(result: Fit, without: Fit, effect: Planned) -> list[Fit]:
+    """The sets with a special case of an effect's law in its place, where the data support that."""
+    out = []
+    taken = {e.key for e in result.effects}
+    for name in effect.effect.contains:
+        simple = catalogue()[name]
+        if (name, effect.joint) in taken:
+            continue
+        values = {p.name: effect.values[p.name] for p in simple.params if p.name in effect.values}
+        planned = Planned.of(name, effect.joint, values, since=effect.since)
+        trial = fit(result.problem, [*without.effects, planned])
+        if supported(trial, without, trial.effects[-1]):
+            out.append(trial)
+    return out

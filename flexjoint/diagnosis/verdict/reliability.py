@@ -57,35 +57,26 @@ def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
     return max(least, float(1.0 / (1.0 + np.exp(against))))
 
 
-def on_background(
-    removed: Removed,
-    joints: Sequence[Remaining],
-    noise: float,
-    beside: int,
-    settings: VerdictSettings,
-) -> float:
+def on_background(removed: Removed, joints: Sequence[Remaining], settings: VerdictSettings) -> float:
     """Probability that a name is right on a machine that also has a background: many small errors that nobody
-    names. It is lower where the cause leaves more than other joints leave, where a smooth law of one signal
-    would remove much of that, and where the cause removes no more than a background does. `noise` [N m] is
-    that of the balance; `beside` counts the causes on its joint, this one included."""
+    names. It grows with the torque that the cause removes over what a background is at most: the usual one,
+    or what is left of the joint's torque where that is less. It is lower where more is left than a usual
+    background and the sensors' noise, and where a smooth law of one signal would remove much of that."""
     own = next((j for j in joints if j.joint == removed.joint), None)
-    torque = own.torque if own is not None else removed.without
-    others = [np.sqrt(max(0.0, j.after**2 - j.noise**2)) / j.torque for j in joints if j is not own]
-    usual = float(np.median(others)) if others else settings.background_typical
-    least, most = settings.background_range
-    expected = float(np.hypot(min(max(usual, least), most) * torque, noise))
+    if own is None:
+        return 0.0
     size = float(np.sqrt(max(removed.without**2 - removed.left**2, 1e-300)))
+    usual = settings.background_typical * own.torque
+    beyond_noise = float(np.sqrt(max(0.0, own.after**2 - own.noise**2)))
     odds = (
-        settings.background_belief
-        - settings.background_more * _decades(removed.left / expected)
+        settings.background_size * float(np.log10(size / (settings.background_even * min(usual, own.after))))
+        - settings.background_more * _decades(beyond_noise / usual)
         - settings.background_shape * _decades(removed.structured / (settings.background_shaped * size))
-        - settings.background_small * _decades(settings.background_large * torque / size)
-        - settings.belief_crowd * max(0, beside - settings.crowd)
     )
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 
 
-def by_simulation(measured: Gain | None, planned: Planned, beside: int, settings: VerdictSettings) -> float:
+def by_simulation(measured: Gain | None, planned: Planned, settings: VerdictSettings) -> float:
     """Probability that a name is right, from the factor by which it lowers the simulated error of its joint
     on held-out data: a wrong cause may make a balance smaller, but rarely the error of the simulation. 0
     where that is not known, and for a cause of the whole robot."""
@@ -95,7 +86,6 @@ def by_simulation(measured: Gain | None, planned: Planned, beside: int, settings
     keys = [key for key in (f"{c}.{planned.joint}" for c in ("q", "theta", "phi")) if key in after]
     factor = max((before[key] / max(after[key], 1e-300) for key in keys), default=0.0)
     odds = settings.simulated_belief * float(np.log10(max(factor, 1e-6) / settings.simulated_factor))
-    odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 
 

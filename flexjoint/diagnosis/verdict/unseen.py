@@ -37,16 +37,6 @@ class Unseen:
     after: np.ndarray  # of the whole set
     without: tuple[np.ndarray, ...]  # of the same model without each of its causes
 
-    def noise(self, removed: Removed) -> float:
-        """[N m] what the sensors' noise alone leaves of the balance in which a cause was measured."""
-        names = self.problem.robot.joint_names
-        row = next(
-            k
-            for k, row in enumerate(self.problem.balances.rows)
-            if (names[row.joint], row.balance) == (removed.joint, removed.balance)
-        )
-        return float(self.problem.deviation[row])
-
 
 def unseen(best: Fit, nothing: Fit) -> Unseen:
     """Residuals of a set of causes, fitted on every second block of two seconds, of the same model without

@@ -20,7 +20,7 @@ from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.verdict.reliability import by_simulation, left_by, on_background, reliability
 from flexjoint.diagnosis.verdict.ties import preferred, ties
 from flexjoint.diagnosis.verdict.unseen import Unseen, remaining, removed
-from flexjoint.effects import Kind, Planned, Site
+from flexjoint.effects import Kind, Planned
 
 
 def findings(
@@ -45,12 +45,10 @@ def findings(
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
         left, share = left_by(best, selection.nothing, k)
         cleared = removed(data, k)
-        # an effect of a sensor is no rival of one that moves the joint
-        beside = sum(e.joint == planned.joint and e.effect.site is not Site.SENSOR for e in best.effects)
         believed = max(
             reliability(best, left, share, k),
-            on_background(cleared, joints, data.noise(cleared), beside, best.settings.verdict),
-            by_simulation(measured, planned, beside, best.settings.verdict),
+            on_background(cleared, joints, best.settings.verdict),
+            by_simulation(measured, planned, best.settings.verdict),
         )
         out.append(
             Finding(
