@@ -64,8 +64,8 @@ LATE = 0.12  # of the time in which a controller answers, that its readings may 
 KNOWN_BY = {"motor_inertia": "inertial", "spring_stiffness": "stiffness", "torque_gain": "inertial"}
 """The tolerance in which an effect would be lost."""
 REVERSING = 0.1
-"""Share of the time in which a torque must have its rarer sign, for a dead command that is to be unknown: where
-it never turns, what is taken away of it is a constant torque, which the catalogue has."""
+"""Share of the time in which a torque must have its rarer sign, for a dead command that is to be unknown:
+where it never turns, what is taken away of it is a constant torque, which the catalogue has."""
 BEYOND_TOLERANCE = 4.0  # standard deviations that a large one of these is off, at least
 AS_SENSED = (10, 40)  # cycles a turn of cogging and of gears
 GEAR_CYCLES, PATH_CYCLES = (2, 16), (1, 6)
