@@ -57,11 +57,14 @@ def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
     return max(least, float(1.0 / (1.0 + np.exp(against))))
 
 
-def on_background(removed: Removed, joints: Sequence[Remaining], settings: VerdictSettings) -> float:
+def on_background(
+    removed: Removed, joints: Sequence[Remaining], settings: VerdictSettings, beside: int = 1
+) -> float:
     """Probability that a name is right on a machine that also has a background: many small errors that nobody
     names. It grows with the torque that the cause removes over what a background is at most: the usual one,
     or what is left of the joint's torque where that is less. It is lower where more is left than a usual
-    background and the sensors' noise, and where a smooth law of one signal would remove much of that."""
+    background and the sensors' noise, where a smooth law of one signal would remove much of that, and where
+    many causes are needed on one joint: `beside` counts the convincing ones there, this one included."""
     own = next((j for j in joints if j.joint == removed.joint), None)
     if own is None:
         return 0.0
@@ -72,11 +75,14 @@ def on_background(removed: Removed, joints: Sequence[Remaining], settings: Verdi
         settings.background_size * float(np.log10(size / (settings.background_even * min(usual, own.after))))
         - settings.background_more * _decades(beyond_noise / usual)
         - settings.background_shape * _decades(removed.structured / (settings.background_shaped * size))
+        - settings.belief_crowd * max(0, beside - settings.crowd)
     )
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 
 
-def by_simulation(measured: Gain | None, planned: Planned, settings: VerdictSettings) -> float:
+def by_simulation(
+    measured: Gain | None, planned: Planned, settings: VerdictSettings, beside: int = 1
+) -> float:
     """Probability that a name is right, from the factor by which it lowers the simulated error of its joint
     on held-out data: a wrong cause may make a balance smaller, but rarely the error of the simulation. 0
     where that is not known, and for a cause of the whole robot."""
@@ -86,6 +92,7 @@ def by_simulation(measured: Gain | None, planned: Planned, settings: VerdictSett
     keys = [key for key in (f"{c}.{planned.joint}" for c in ("q", "theta", "phi")) if key in after]
     factor = max((before[key] / max(after[key], 1e-300) for key in keys), default=0.0)
     odds = settings.simulated_belief * float(np.log10(max(factor, 1e-6) / settings.simulated_factor))
+    odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 
 

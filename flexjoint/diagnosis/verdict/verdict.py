@@ -20,7 +20,7 @@ from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.verdict.reliability import by_simulation, left_by, on_background, reliability
 from flexjoint.diagnosis.verdict.ties import preferred, ties
 from flexjoint.diagnosis.verdict.unseen import Unseen, remaining, removed
-from flexjoint.effects import Kind, Planned
+from flexjoint.effects import Kind, Planned, Site
 
 
 def findings(
@@ -35,20 +35,26 @@ def findings(
     if not best.effects:
         return ()
     errors = standard_errors(best)
-    joints = remaining(data)
+    joints, limits = remaining(data), best.settings.verdict
     sliding = best.problem.robot.prismatic
     out: list[Finding] = []
+    cleared = [removed(data, k) for k in range(len(best.effects))]
+    convincing = [on_background(one, joints, limits) >= limits.likely for one in cleared]
     for k, planned in enumerate(best.effects):
+        # what a sensor adds to its reading is no rival of what moves the joint
+        beside = sum(
+            there and e.joint == planned.joint and e.effect.site is not Site.SENSOR
+            for e, there in zip(best.effects, convincing, strict=True)
+        )
         listed = next((e for e in best.problem.nominal if e.key == planned.key), None)
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
         rivals = tuple(rival for rival in rivals if not needs_implausible(rival, best))
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
         left, share = left_by(best, selection.nothing, k)
-        cleared = removed(data, k)
         believed = max(
             reliability(best, left, share, k),
-            on_background(cleared, joints, best.settings.verdict),
-            by_simulation(measured, planned, best.settings.verdict),
+            on_background(cleared[k], joints, limits, beside),
+            by_simulation(measured, planned, limits, beside),
         )
         out.append(
             Finding(
@@ -67,7 +73,7 @@ def findings(
                 note="change against the nominal model's own entry" if listed is not None else "",
                 left=left,
                 reliability=believed,
-                removed=cleared,
+                removed=cleared[k],
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain))

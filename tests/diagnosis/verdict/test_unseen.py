@@ -17,8 +17,8 @@ JOINT = Remaining("slide", torque=54.0, before=37.0, after=2.0, noise=0.03, stru
 CAUSE = Removed("slide", "motor", without=21.0, left=2.0, structured=1.4, against="dtheta")
 
 
-def believed(cause: Removed, joint: Remaining = JOINT) -> float:
-    return on_background(cause, (joint,), LIMITS)
+def believed(cause: Removed, joint: Remaining = JOINT, beside: int = 1) -> float:
+    return on_background(cause, (joint,), LIMITS, beside)
 
 
 def test_ordinary_friction_of_a_real_drive_is_believed() -> None:
@@ -50,6 +50,11 @@ def test_where_far_more_is_left_than_a_background_another_cause_may_stand_behind
     assert believed(CAUSE, replace(JOINT, after=15.0, noise=15.0)) > 0.8
 
 
+def test_three_convincing_causes_on_a_joint_are_believed_less() -> None:
+    assert believed(CAUSE, beside=2) == believed(CAUSE)
+    assert believed(CAUSE, beside=3) < believed(CAUSE)
+
+
 def test_a_cause_of_no_joint_that_is_measured_is_not_believed_by_its_size() -> None:
     assert believed(replace(CAUSE, joint="other")) == 0.0
 
@@ -67,10 +72,10 @@ def test_a_joint_is_finished_when_what_is_left_is_background(left: Remaining, op
     assert len(unfinished((left,), LIMITS)) == open_ones
 
 
-def simulated(before: float, after: float, joint: str | None = "elbow") -> float:
+def simulated(before: float, after: float, joint: str | None = "elbow", beside: int = 1) -> float:
     gain = Gain(True, 0.5, {"nrmse": {"phi.elbow": before}}, {"nrmse": {"phi.elbow": after}}, {})
     named = effect("backlash", joint, gap=1e-3) if joint else effect("base_tilt", roll=0.01)
-    return by_simulation(gain, named, LIMITS)
+    return by_simulation(gain, named, LIMITS, beside)
 
 
 def test_a_cause_with_which_its_joint_is_simulated_far_better_is_believed() -> None:
@@ -79,6 +84,7 @@ def test_a_cause_with_which_its_joint_is_simulated_far_better_is_believed() -> N
     assert simulated(1.4, 1.4) < 0.05
 
 
-def test_a_simulation_says_nothing_of_another_joint() -> None:
+def test_a_simulation_says_nothing_of_another_joint_and_less_of_a_third_cause() -> None:
     assert simulated(1.4, 0.14, "wrist") < 1e-6
     assert simulated(1.4, 0.14, None) == 0.0
+    assert simulated(1.4, 0.14, beside=3) < 0.5 < simulated(1.4, 0.14, beside=2)
