@@ -239,7 +239,7 @@ class _Lines:
         else:
             yield f"# torque_limit: 100  # {unit('N m')}, {CHECK}: peak torque of the drive (data sheet)"
         need = "needed for the recorded currents" if "current" in channels else "needed for currents"
-        yield f"# gear_ratio: 100  # {CHECK}: rotor turns per turn of the joint (its data sheet); {need}"
+        yield f"# gear_ratio: 100  # {CHECK}: rotor turns per turn of the joint (data sheet); {need}"
         yield f"# torque_constant: 0.1  # N m/A at the rotor, {CHECK}: data sheet of the motor; {need}"
 
     def _effects(self) -> Iterator[str]:
