@@ -7,7 +7,6 @@ import argparse
 from flexjoint.cli import options
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.text import plain
 from flexjoint.recording.checks import check
 from flexjoint.recording.importing import import_log, open_log
 from flexjoint.recording.logs.mapping import EMPTY
@@ -30,7 +29,7 @@ def run(arguments: argparse.Namespace) -> None:
     imported = import_log(arguments.log, mapping, robot)
     if robot is not None:
         check(robot, imported.recording)
-    print(plain(imported.account))
+    print(imported)
     imported.recording.write(arguments.to)
     print(f"wrote {arguments.to}")
     named = arguments.robot if arguments.robot is not None else "robot.yaml"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.recording import table
@@ -21,6 +22,7 @@ from flexjoint.recording.formats import (
     text,
     ur_rtde,
 )
+from flexjoint.recording.logs import mapping as mappings
 from flexjoint.recording.logs.conversion import Imported, converted
 from flexjoint.recording.logs.log import Log
 from flexjoint.recording.logs.mapping import EMPTY, MappingFile
@@ -57,12 +59,25 @@ def open_log(source: str | os.PathLike[str], episode: int | None = None) -> Log:
 
 
 def import_log(
-    source: str | os.PathLike[str], mapping: MappingFile = EMPTY, robot: Robot | None = None
+    source: str | os.PathLike[str],
+    mapping: MappingFile | Mapping[str, Any] | str | os.PathLike[str] = EMPTY,
+    robot: Robot | None = None,
 ) -> Imported:
     """The recording of a log of any format, with an account of what was understood (docs/importing.md).
 
-    Raises RecordingError where the log is unusable or leaves a doubt, with the option that answers it.
+    Args:
+        source: a file, or the folder of a bag or dataset.
+        mapping: what the log and its format do not say: a mapping file, or its keys (docs/formats.md).
+        robot: names joints in its order where the log names none, leaves out those that it does not have, and
+            gives gear ratios and torque constants that nobody else states.
+
+    Raises RecordingError where the log is unusable or leaves a doubt, with the option that answers it;
+    MissingExtraError where the format's library is not installed.
     """
+    if isinstance(mapping, str | os.PathLike):
+        mapping = mappings.read(mapping)
+    elif not isinstance(mapping, MappingFile):
+        mapping = mappings.parse(mapping)
     return converted(open_log(source, mapping.episode), mapping, robot)
 
 

@@ -207,9 +207,9 @@ class _Lines:
     def _actuated(self) -> Iterator[str]:
         yield "joints:  # all numbers as seen from the link, through the gear"
         if self.springs:
-            yield "  # A joint with a harmonic drive or a series spring is flexible: for .inf put the torsional"
-            yield "  # stiffness [N m/rad] of its gear (data sheet, at the output), and add `damping: ...`"
-            yield "  # [N m s/rad]; it needs a motor_inertia then."
+            yield "  # A joint with a harmonic drive or a series spring is flexible: for .inf put the"
+            yield "  # torsional stiffness [N m/rad] of its gear (data sheet, at the output), and add"
+            yield "  # `damping: ...` [N m s/rad]; it needs a motor_inertia then."
         for joint in self.joints.actuated:
             yield f"  {_quoted(joint)}:"
             yield from (f"    {line}" for line in self._numbers(joint))

@@ -87,15 +87,15 @@ def _episode(files: list[Path], info: Mapping[str, Any], episode: int | None, pa
             names = opened.schema_arrow.names
             if EPISODE not in names:
                 raise refusal(file, f"has no column {EPISODE}, as expected of a LeRobot dataset")
-            there = np.unique(opened.read([EPISODE]).column(EPISODE).to_numpy())
+            rows = opened.read([EPISODE]).column(EPISODE).to_numpy()
+            there = np.unique(rows)
             if episode is None and len(files) == 1 and there.size == 1:
                 episode = int(there[0])
             if episode is None:
                 count = info.get("total_episodes", "several")
                 raise refusal(path, f"has {count} episodes; choose one with --episode NUMBER")
             if episode in there:
-                table = opened.read()
-                parts.append(table.filter(pa.compute.equal(table.column(EPISODE), episode)))
+                parts.append(opened.read().filter(pa.array(rows == episode)))
     if not parts:
         raise refusal(
             path, f"has no episode {episode}; it has {info.get('total_episodes', 'others')}, from 0 on"

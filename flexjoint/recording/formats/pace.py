@@ -5,6 +5,7 @@ Only tensors and plain containers are read (`weights_only`): the pickle in a .pt
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,9 @@ def read(path: Path) -> Log:
     if path.stat().st_size > MOST_BYTES:
         raise refusal(path, f"more than {MOST_BYTES:g} bytes; cut the log")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about pickles that it then refuses
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except (
         Exception
     ) as error:  # torch raises errors of its archives and of its unpickler, without a common base

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from flexjoint.core.errors import RecordingError
-from flexjoint.core.text import Block, Line, Table
+from flexjoint.core.text import Block, Line, Table, plain
 from flexjoint.recording.channels import lag_of
 from flexjoint.recording.checks import all_joints, check_columns, keeps_one_sign
 from flexjoint.recording.logs import units
@@ -47,6 +47,9 @@ class Imported:
 
     recording: Recording
     account: tuple[Block, ...]
+
+    def __str__(self) -> str:
+        return plain(self.account)
 
 
 @dataclass(frozen=True)
