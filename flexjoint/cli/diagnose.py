@@ -22,7 +22,8 @@ from flexjoint.robot.payload import parse
 def run(arguments: argparse.Namespace) -> None:
     """The command. Raises FlexJointError on unusable input, before the long work."""
     asked = Asked(arguments.json, arguments.report, arguments.model)
-    asked.check([Path(arguments.robot), *arguments.recordings])
+    mapped = [arguments.mapping] if arguments.mapping is not None else []
+    asked.check([Path(arguments.robot), *arguments.recordings, *mapped])
     nominal = load_chosen(arguments)
     mapping = mapping_of(arguments)
     recordings = [read(path, mapping, nominal).recording for path in arguments.recordings]

@@ -17,7 +17,7 @@ from flexjoint.core.text import Block, Line, Table, plain
 from flexjoint.recording.channels import lag_of
 from flexjoint.recording.checks import all_joints, check_columns, keeps_one_sign
 from flexjoint.recording.logs import units
-from flexjoint.recording.logs.log import Documented, Log, Signal, last_part, named
+from flexjoint.recording.logs.log import ELEMENT, Documented, Log, Signal, last_part, named
 from flexjoint.recording.logs.mapping import EMPTY, ChannelEntry, MappingFile, by_joint
 from flexjoint.recording.messages import refusal, shown
 from flexjoint.recording.stamps import SLOWEST
@@ -103,7 +103,7 @@ def converted(log: Log, mapping: MappingFile = EMPTY, robot: Robot | None = None
     }
     recording = make(time, columns, log.source)
     check_columns(recording)
-    return Imported(recording, tuple(_account(log, sources, recording, clock, notes)))
+    return Imported(recording, tuple(_account(log, mapping, sources, recording, clock, notes)))
 
 
 # --- which signal is which channel --------------------------------------------------------------------------
@@ -307,9 +307,11 @@ def _stated_unit(mapping: MappingFile, source: _Source) -> tuple[str | None, str
     if mapping.angles is not None and source.dimension in ("angle", "velocity"):
         unit = mapping.angles if source.dimension == "angle" else units.OF_ANGLE[mapping.angles]
         return unit, "as stated"
-    ends = units.of_name(source.channel, source.name)
-    if ends is not None:
-        return ends, "its name says so"
+    listed = source.entry.source if source.entry is not None else source.name
+    names = (listed,) if isinstance(listed, str) else listed
+    ends = {units.of_name(source.channel, ELEMENT.sub(r"\g<signal>", name)) for name in names}
+    if len(ends) == 1 and None not in ends:
+        return ends.pop(), "its name says so"
     if source.documented is not None and source.documented.unit is not None:
         return source.documented.unit, source.documented.why
     return None, ""
@@ -365,24 +367,30 @@ def _at_the_link(
         elif source.dimension == "torque" and _of_rotor(source):
             gear, why = _gear(log, mapping, robot, source, "torques of the rotor")
             out.append(source.done(source.values * gear, f"times the gear ratio {_numbers(gear)} ({why})"))
-        elif source.dimension in ("angle", "velocity") and (
-            _of_rotor(source) or (_open(source) and _turns_with_rotor(log, mapping, robot, source, sources))
-        ):
-            if source.channel not in MOTOR_SIDE:
-                raise refusal(
-                    log.source,
-                    f"{source.channel} is of the link, but side: motor is stated; call the channel"
-                    f" {AT_MOTOR.get(source.channel, 'theta')}",
-                )
-            gear, why = _gear(log, mapping, robot, source, "turns of the rotor")
-            out.append(
-                source.done(source.values / gear, f"divided by the gear ratio {_numbers(gear)} ({why})")
-            )
-        elif _open(source):
-            out.append(source.done(source.values, "seen from the link: it moves as far as the link may"))
+        elif source.dimension in ("angle", "velocity"):
+            out.append(_position_at_the_link(log, mapping, robot, source, sources))
         else:
             out.append(source)
     return out
+
+
+def _position_at_the_link(
+    log: Log, mapping: MappingFile, robot: Robot | None, source: _Source, sources: Sequence[_Source]
+) -> _Source:
+    of_rotor, why = _of_rotor(source), ""
+    if _open(source):
+        of_rotor, why = _turns_with_rotor(log, mapping, robot, source, sources)
+    if not of_rotor:
+        return source.done(source.values, why) if why else source
+    if source.channel not in MOTOR_SIDE:
+        raise refusal(
+            log.source,
+            f"{source.channel} is of the link, but side: motor is stated; call the channel"
+            f" {AT_MOTOR[source.channel]}",
+        )
+    gear, said = _gear(log, mapping, robot, source, "turns of the rotor")
+    how = f"divided by the gear ratio {_numbers(gear)} ({said})"
+    return source.done(source.values / gear, f"{why}: {how}" if why else how)
 
 
 def _open(source: _Source) -> bool:
@@ -394,63 +402,66 @@ def _open(source: _Source) -> bool:
 
 def _turns_with_rotor(
     log: Log, mapping: MappingFile, robot: Robot | None, source: _Source, sources: Sequence[_Source]
-) -> bool:
+) -> tuple[bool, str]:
     """Whether a motor's position without a stated side is the rotor's, by its slope over the link's, or by
-    how far it turns."""
+    how far it turns; and the evidence."""
     position = next(
         (o for o in sources if o.channel in ("theta", "theta_ref") and set(o.joints) & set(source.joints)),
         None,
     )
     if position is None:
-        return False
+        return False, "taken as seen from the link: no position beside it says otherwise"
     if not _open(position):
-        return _of_rotor(position)
+        return _of_rotor(position), f"as {position.channel}"
     gear = mapping.gear_ratio
-    turned: list[bool] = []
-    for joint, slope in _slopes(position, sources).items():
-        ratio = by_joint(gear, position.joints, "gear_ratio", log.source)
-        stated = None if ratio is None else ratio[position.joints.index(joint)]
-        if abs(slope - 1.0) < LIKE:
-            turned.append(False)
-        elif stated is not None and abs(slope / stated - 1.0) < LIKE_GEAR:
-            turned.append(True)
-        elif abs(slope + 1.0) < LIKE:
-            raise refusal(
-                log.source,
-                f"{position.channel}.{shown(joint)} turns against q.{shown(joint)} (slope {slope:.3g}):"
-                f" state sign: -1"
-                f" for {position.channel} in a mapping",
-            )
-        else:
-            raise refusal(
-                log.source,
-                f"{position.channel}.{shown(joint)} moves {slope:.4g} times as far as q.{shown(joint)}:"
-                f" turns of the"
-                f" rotor before the gear? Give --gear {slope:.4g} (or one number a joint)",
-            )
+    slopes = _slopes(position, sources)
+    turned = [_turned(log, mapping, position, joint, slope) for joint, slope in slopes.items()]
     if turned:
-        return any(turned)
+        sides = f"{min(slopes.values()):.4g} to {max(slopes.values()):.4g}"
+        return any(turned), f"moves {sides} times as far as the link"
     reach = _reach(position, robot)
     explicit = position.explicit or mapping.angles is not None
     if gear is None and reach <= TWO_TURNS:
-        return False
+        return False, f"{position.channel} stays within {reach:.3g}, so seen from the link"
     if gear is None and not explicit:
         raise _asked_unit(log, position, reach)
     if gear is None:
         raise refusal(
             log.source,
-            f"{_of(position)} reaches {reach:.4g} rad: turns of the rotor"
-            f" before the gear?"
-            " Give --gear RATIO, or state side: link in a mapping",
+            f"{_of(position)} reaches {reach:.4g} rad: turns of the rotor before the gear? Give --gear"
+            f" RATIO, or"
+            " state side: link in a mapping",
         )
     if reach <= TWO_TURNS:
         raise refusal(
             log.source,
-            f"{_of(position)} reaches {reach:.4g} rad and a gear ratio is"
-            f" stated: state"
-            f" side: motor (before the gear) or side: link for {position.channel} in a mapping",
+            f"{_of(position)} reaches {reach:.4g} rad and a gear ratio is stated: state side: motor"
+            f" (before the"
+            f" gear) or side: link for {position.channel} in a mapping",
         )
-    return True
+    return True, f"{position.channel} reaches {reach:.4g} rad, so turns of the rotor"
+
+
+def _turned(log: Log, mapping: MappingFile, position: _Source, joint: str, slope: float) -> bool:
+    """Whether a joint's motor position is the rotor's, by its slope over the link's."""
+    ratios = by_joint(mapping.gear_ratio, position.joints, "gear_ratio", log.source)
+    stated = None if ratios is None else ratios[position.joints.index(joint)]
+    theta, q = f"{position.channel}.{shown(joint)}", f"q.{shown(joint)}"
+    if abs(slope - 1.0) < LIKE:
+        return False
+    if stated is not None and abs(slope / stated - 1.0) < LIKE_GEAR:
+        return True
+    if abs(slope + 1.0) < LIKE:
+        raise refusal(
+            log.source,
+            f"{theta} turns against {q} (slope {slope:.3g}): state sign: -1 for {position.channel} in a"
+            f" mapping",
+        )
+    raise refusal(
+        log.source,
+        f"{theta} moves {slope:.4g} times as far as {q}: turns of the rotor before the gear? Give --gear"
+        f" {slope:.4g} (or one number a joint)",
+    )
 
 
 def _slopes(position: _Source, sources: Sequence[_Source]) -> dict[str, float]:
@@ -635,23 +646,37 @@ def _interpolated(log: Log, source: _Source, ours: np.ndarray, theirs: np.ndarra
 
 # --- the account --------------------------------------------------------------------------------------------
 def _account(
-    log: Log, sources: Sequence[_Source], recording: Recording, clock: str, notes: Sequence[str]
+    log: Log,
+    mapping: MappingFile,
+    sources: Sequence[_Source],
+    recording: Recording,
+    clock: str,
+    notes: Sequence[str],
 ) -> list[Block]:
     blocks: list[Block] = [Line(f"{log.source}: {log.format}", whole=True), Line(_clock(recording, clock))]
-    same = len({(source.joints, source.naming) for source in sources}) == 1
-    for source in sources[:1] if same else sources:
-        of = "joints" if same else f"joints of {source.name}"
-        blocks.append(Line(f"{of}: {named(source.joints)} ({source.naming})"))
+    orders: dict[tuple[tuple[str, ...], str], list[str]] = {}
+    for source in sources:
+        orders.setdefault((source.joints, source.naming), []).append(source.channel)
+    for (joints, naming), channels in orders.items():
+        of = f"joints of {', '.join(channels)}" if len(orders) > 1 else "joints"
+        blocks.append(Line(f"{of}: {named(joints)} ({naming})"))
     rows = tuple((s.channel, UNITS[s.channel], shown(s.name), "\n".join(s.how)) for s in sources)
     blocks.append(
         Table((("channel", False), ("unit", False), ("from", False), ("how, and why", False)), rows)
     )
-    used = {source.name for source in sources} | {log.time or ""}
+    used = {source.name for source in sources} | {mapping.time or log.time or ""}
+    used |= {ELEMENT.sub(r"\g<signal>", column) for source in sources for column in source.signal.columns}
     used |= {column for source in sources for column in source.signal.columns}
     left = [n for n, s in log.signals.items() if n not in used and not set(s.columns) & used]
     if left:
         blocks.append(Line(f"not used: {named(left)}"))
-    lines = [*log.notes, *notes, *recording.notes, *_doubts(recording)]
+    said = " ".join(text for source in sources for text in source.how)
+    unused = [
+        f"{key} is stated, and no channel needs it"
+        for key, words in (("gear_ratio", "gear ratio"), ("torque_constant", "N m/A"))
+        if getattr(mapping, key) is not None and words not in said
+    ]
+    lines = [*log.notes, *notes, *unused, *recording.notes, *_doubts(recording)]
     return [*blocks, *(Line(line) for line in lines)]
 
 

@@ -25,6 +25,7 @@ TIMES = (
     "sec",
     "seconds",
 )  # usual names of a clock
+ELEMENT = re.compile(r"^(?P<signal>.+)\[(?P<at>\d{1,4})\]$")
 NAMES = ("joint_names", "joints", "names", "joint_order")  # usual names of a list of joints
 
 
@@ -76,16 +77,27 @@ class Log:
     notes: tuple[str, ...] = ()
 
     def find(self, name: str) -> Signal:
-        """The signal of that name, or the one column that has it; RecordingError lists what there is."""
+        """The signal of that name, or the one column that has it or that `signal[k]` numbers from 0;
+        RecordingError lists what there is."""
         if name in self.signals:
             return self.signals[name]
+        if (match := ELEMENT.match(name)) and match["signal"] in self.signals:
+            whole, at = self.signals[match["signal"]], int(match["at"])
+            if at >= whole.values.shape[1]:
+                raise refusal(
+                    self.source, f"{shown(name)}: the signal has {whole.values.shape[1]} columns, from [0] on"
+                )
+            return _column(whole, at, name)
         for signal in self.signals.values():
             if name in signal.columns:
-                at = signal.columns.index(name)
-                joints = (signal.joints[at],) if signal.joints else ()
-                return Signal(signal.values[:, at : at + 1], (name,), joints, signal.stamps)
+                return _column(signal, signal.columns.index(name), name)
         reason = unknown("signal", shown(name), [shown(s) for s in list(self.signals)[:MOST_NAMES]])
         raise refusal(self.source, str(reason))
+
+
+def _column(signal: Signal, at: int, name: str) -> Signal:
+    joints = (signal.joints[at],) if signal.joints else ()
+    return Signal(signal.values[:, at : at + 1], (name,), joints, signal.stamps)
 
 
 def of_arrays(

@@ -14,11 +14,13 @@ from support import fake_diagnosis
 from support.logs import JOINTS, RATE, assert_is, motion
 from support.robot_files import file
 
-from flexjoint.core.errors import RecordingError
+from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.core.text import plain
 from flexjoint.recording.logs import mapping
 from flexjoint.recording.logs.conversion import Imported, converted
 from flexjoint.recording.logs.log import Documented, Log, Signal, of_arrays
+from flexjoint.recording.logs.units import UNITS_OF
+from flexjoint.recording.table import UNITS
 from flexjoint.robot import robot
 
 DEGREES = 180.0 / math.pi
@@ -54,7 +56,7 @@ def test_what_was_done_to_a_log_is_undone(
 ) -> None:
     """Angles of the rotor in any unit, turned and shifted; torques as currents in mA."""
     name, factor = unit
-    short = motion(0.4)
+    short = SHORT
     sign = -1.0 if turned else 1.0
     rotor = sign * (short.q - offset) * gear * factor
     speed = sign * short.dq * gear * factor
@@ -74,6 +76,63 @@ def test_what_was_done_to_a_log_is_undone(
     assert_is(got.recording, "tau_motor", short.tau)
     said = plain(got.account)
     assert "times the gear ratio" not in said and "N m/A (as stated) and the gear ratio" in said
+
+
+SHORT = motion(0.4)
+ARRAYS = {
+    "time": SHORT.time,
+    "pos": SHORT.q,
+    "pos_deg": np.degrees(SHORT.q) * 80.0,
+    "amps": SHORT.tau,
+    "one": SHORT.q[:, 0],
+    "q": np.where(SHORT.q > 0.4, np.nan, SHORT.q),
+    "dq": 1e300 * SHORT.dq,
+    "bad": np.full_like(SHORT.q, np.inf),
+    "still": np.zeros_like(SHORT.q),
+}
+NUMBERS = st.none() | st.floats(allow_nan=False) | st.lists(st.floats(-1e3, 1e3), max_size=3).map(tuple)
+NAMES = st.sampled_from(["shoulder", "elbow", "hip", ""])
+ENTRY = st.fixed_dictionaries(
+    {
+        "from": st.sampled_from([*ARRAYS, "none", "pos[1]", "pos[9]"])
+        | st.lists(st.sampled_from(["one", "pos[0]", "pos"]))
+    },
+    optional={
+        "unit": st.sampled_from([*UNITS_OF["angle"], *UNITS_OF["velocity"], *UNITS_OF["torque"]]),
+        "side": st.sampled_from(["motor", "link"]),
+        "gear_ratio": NUMBERS,
+        "torque_constant": NUMBERS,
+        "offset": NUMBERS,
+        "sign": st.sampled_from([1, -1, [1, -1]]),
+        "joints": st.lists(NAMES, max_size=3),
+    },
+)
+KEYS = st.fixed_dictionaries(
+    {"channels": st.dictionaries(st.sampled_from(list(UNITS)), ENTRY, max_size=4)},
+    optional={
+        "time": st.sampled_from(["time", "one", "pos", "still"]),
+        "time_unit": st.sampled_from(["s", "ns"]),
+        "rate": st.floats(0.1, 1e6),
+        "joints": st.lists(NAMES, min_size=1, max_size=3),
+        "angles": st.sampled_from(["rad", "deg", "rev"]),
+        "gear_ratio": NUMBERS,
+        "torque_constant": NUMBERS,
+        "encoder": st.sampled_from(["motor", "link"]),
+    },
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(KEYS)
+def test_whatever_a_mapping_says_the_log_is_a_recording_or_refused(keys: dict[str, Any]) -> None:
+    source = of_arrays("a.npz", "NumPy archive", ARRAYS, JOINTS)
+    try:
+        got = imported(source, **keys)
+    except FlexJointError as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.all(np.diff(got.recording.time) > 0.0) and "clock: " in str(got)
+        assert not any(np.any(np.isinf(values)) for values in got.recording.columns.values())
 
 
 def test_numbers_by_joint_and_in_order() -> None:
@@ -139,6 +198,8 @@ def test_turns_of_a_rotor_are_seen_by_the_slope_and_asked_for() -> None:
     got = imported(source, angles="rad", gear_ratio=100.0)
     assert_is(got.recording, "theta", M.q)
     assert "divided by the gear ratio 100 (as stated)" in plain(got.account)
+    told = plain(imported(log(q=M.q), gear_ratio=3.0).account)
+    assert "gear_ratio is stated, and no channel needs it" in told
 
 
 def test_a_motor_that_turns_the_other_way_is_named() -> None:
@@ -156,7 +217,7 @@ def test_a_motor_alone_that_turns_far_is_asked_for() -> None:
 def test_a_motor_that_moves_with_its_link_is_seen_from_the_link() -> None:
     got = imported(log(q=M.q, theta=M.q + 1e-3))
     assert_is(got.recording, "theta", M.q + 1e-3)
-    assert "seen from the link" in plain(got.account)
+    assert "moves 1 to 1 times as far as the link" in plain(got.account)
 
 
 def test_a_link_that_is_stated_of_the_motor_is_refused() -> None:
@@ -213,6 +274,15 @@ def test_one_list_of_columns_a_joint_is_a_signal() -> None:
     got = imported(source, joints=list(JOINTS), channels={"q": ["a", "b"]})
     assert_is(got.recording, "q", M.q)
     refused(source, "unknown signal 'c'; valid: a, b, time", joints=list(JOINTS), channels={"q": ["a", "c"]})
+
+
+def test_some_columns_of_a_signal_are_numbered() -> None:
+    source = log((), pos=np.hstack([M.q, 0.0 * M.q]), pos_deg=np.degrees(M.q))
+    for name in ("pos", "pos_deg"):
+        channels = {"q": [f"{name}[1]", f"{name}[0]"]}
+        assert_is(imported(source, joints=["elbow", "shoulder"], channels=channels).recording, "q", M.q)
+    said = r"pos\[4\]: the signal has 4 columns, from \[0\] on"
+    refused(source, said, joints=["a", "b"], channels={"q": ["pos[1]", "pos[4]"]})
 
 
 def test_two_signals_of_one_channel_and_joint_are_asked_for() -> None:
