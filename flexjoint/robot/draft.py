@@ -171,7 +171,7 @@ class _Lines:
         yield f"# A line marked {CHECK} holds what the {self.kind.upper()} does not know: where to find it."
         yield f"name: {_quoted(self.name)}"
         yield f"{self.kind}: {_quoted(self.place)}  # relative to this file, or package://"
-        yield "base: floating" if self.floating else "base: fixed"
+        yield "base: floating" if self.floating else "base: fixed  # or floating: it walks, drives or flies"
         yield f"gravity: [0, 0, -9.81]  # m/s^2 in the base frame; {CHECK} on a wall, a ceiling or a slope"
         yield from self._rates()
         yield from self._locked()
