@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.model.dynamics import FlexibleJointModel
     from flexjoint.model.statics.equilibrium import equilibrium
     from flexjoint.model.statics.static_law import static_error
+    from flexjoint.recording.importing import import_log
     from flexjoint.recording.table import Recording
     from flexjoint.recording.table import make as make_recording
     from flexjoint.recording.table import read as read_recording
@@ -58,6 +59,7 @@ __all__ = [
     "diagnose",
     "effect",
     "equilibrium",
+    "import_log",
     "linearise",
     "load_robot",
     "lqr",
@@ -94,6 +96,7 @@ _PLACES = {  # name: module and what it is called there
     "diagnose": ("diagnosis.pipeline", "diagnose"),
     "effect": ("effects", "effect"),
     "equilibrium": ("model.statics.equilibrium", "equilibrium"),
+    "import_log": ("recording.importing", "import_log"),
     "linearise": ("design.linearise", "linearise"),
     "load_robot": ("robot.robot", "load"),
     "lqr": ("design.gains", "lqr"),

@@ -6,11 +6,11 @@ import argparse
 
 from rich.console import Console
 
-from flexjoint.cli.options import load_chosen
+from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import Asked
 from flexjoint.diagnosis.comparison.compare import compare
-from flexjoint.recording import table as recording
 from flexjoint.recording.checks import check
+from flexjoint.recording.importing import read
 from flexjoint.report.terminal import show
 
 
@@ -18,7 +18,7 @@ def run(arguments: argparse.Namespace) -> None:
     """The command. Raises FlexJointError on unusable input."""
     Asked(json=arguments.json).check()
     robot = load_chosen(arguments)
-    table = recording.read(arguments.recording)
+    table = read(arguments.recording, mapping_of(arguments), robot).recording
     check(robot, table)
     result = compare(
         robot,

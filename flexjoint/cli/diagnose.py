@@ -8,13 +8,13 @@ from pathlib import Path
 
 from rich.console import Console
 
-from flexjoint.cli.options import load_chosen
+from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import Asked, page
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import cause, listed, percent
-from flexjoint.recording import table as recording
 from flexjoint.recording.checks import check
+from flexjoint.recording.importing import read
 from flexjoint.report.terminal import Progress, no_progress, summary
 from flexjoint.robot.payload import parse
 
@@ -22,9 +22,11 @@ from flexjoint.robot.payload import parse
 def run(arguments: argparse.Namespace) -> None:
     """The command. Raises FlexJointError on unusable input, before the long work."""
     asked = Asked(arguments.json, arguments.report, arguments.model)
-    asked.check([Path(arguments.robot), *arguments.recordings])
+    mapped = [arguments.mapping] if arguments.mapping is not None else []
+    asked.check([Path(arguments.robot), *arguments.recordings, *mapped])
     nominal = load_chosen(arguments)
-    recordings = [recording.read(path) for path in arguments.recordings]
+    mapping = mapping_of(arguments)
+    recordings = [read(path, mapping, nominal).recording for path in arguments.recordings]
     for table in recordings:
         check(nominal, table)
     payloads = parse(arguments.payload, [str(path) for path in arguments.recordings])

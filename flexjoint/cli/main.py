@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | plan | theta-d | view | paper | demo | ...`.
+"""The command line: `flexjoint init | import | diagnose | compare | simulate | plan | view | demo | ...`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. What a command needs is imported when it runs.
@@ -62,9 +62,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=_version())
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
+    _add_init(commands)
+    _add_import(commands)
+
     diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
-    diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="CSV or Parquet table")
+    diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="table, or another log")
     options.add_robot(diagnose)
+    options.add_mapping(diagnose)
     diagnose.add_argument(
         "--payload",
         action="append",
@@ -87,8 +91,9 @@ def _parser() -> argparse.ArgumentParser:
     diagnose.set_defaults(run=_lazily("diagnose"))
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
-    compare.add_argument("recording", type=Path, metavar="REC", help="CSV or Parquet table")
+    compare.add_argument("recording", type=Path, metavar="REC", help="table, or another log")
     options.add_robot(compare)
+    options.add_mapping(compare)
     compare.add_argument("--horizon", type=float, default=0.5, help="window length [s], default 0.5")
     compare.add_argument("--closed-loop", action="store_true", help="drive by references, not by torques")
     options.add_engine(compare)
@@ -128,6 +133,31 @@ def _parser() -> argparse.ArgumentParser:
 
     paper.add(commands)
     return parser
+
+
+def _add_init(commands: Any) -> None:
+    init = commands.add_parser("init", help="write the robot file of a URDF, MJCF or SDF")
+    init.add_argument(
+        "description",
+        metavar="DESCRIPTION",
+        help="URDF, MJCF or SDF, package://... of example-robot-data, or a name of robot_descriptions",
+    )
+    init.add_argument("--out", type=Path, default=Path("robot.yaml"), metavar="ROBOT.yaml")
+    init.add_argument("--recording", type=Path, metavar="LOG", help="check it, and fill in what it shows")
+    init.add_argument("--rigid", action="store_true", help="say nothing of springs: all joints are rigid")
+    init.add_argument("--force", action="store_true", help="write over a robot file that is there")
+    options.add_log(init)
+    init.set_defaults(run=_lazily("init"))
+
+
+def _add_import(commands: Any) -> None:
+    log = commands.add_parser("import", help="make a recording of another program's log")
+    log.add_argument("log", type=Path, metavar="LOG", help="a file, or the folder of a bag or dataset")
+    log.add_argument("--to", type=Path, metavar="TABLE", help="recording to write (.csv or .parquet)")
+    log.add_argument("--signals", action="store_true", help="list what the log holds, and write nothing")
+    log.add_argument("--robot", metavar="R.yaml", help="names of joints, gear ratios, and a check against it")
+    options.add_log(log)
+    log.set_defaults(run=_lazily("import_log"))
 
 
 def _add_theta_d(commands: Any) -> None:

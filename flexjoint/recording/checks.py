@@ -61,11 +61,16 @@ def check(robot: Robot, recording: Recording) -> None:
     _check_positions(robot, recording)
     check_rate(recording)
     recording = without_pauses(recording)
+    check_columns(recording)
+    _compare_with_robot(robot, recording)
+    check_signs(robot, recording)
+
+
+def check_columns(recording: Recording) -> None:
+    """Raise RecordingError where columns of one joint say of each other that one is off by 180/pi."""
     for joint in recording.joints:
         _compare_positions(recording, joint)
         _compare_velocities(recording, joint)
-    _compare_with_robot(robot, recording)
-    check_signs(robot, recording)
 
 
 def check_joints(robot: Robot, recording: Recording) -> None:
@@ -121,7 +126,7 @@ def check_signs(robot: Robot, recording: Recording) -> None:
         suspects = [
             name
             for name in robot.joint_names
-            if recording.has(channel, name) and _one_sign(recording.get(channel, name))
+            if recording.has(channel, name) and keeps_one_sign(recording.get(channel, name))
         ]
         dynamics = _Torques.of(robot, recording, (channel,)) if suspects else None
         for name in suspects:
@@ -133,7 +138,8 @@ def check_signs(robot: Robot, recording: Recording) -> None:
                 )
 
 
-def _one_sign(torque: np.ndarray) -> bool:
+def keeps_one_sign(torque: np.ndarray) -> bool:
+    """Whether a torque or current (N,) never changes its sign, but for an offset or noise."""
     known = torque[np.isfinite(torque)]
     least = ONE_SIGN * float(np.max(np.abs(known), initial=0.0))
     return bool(known.size) and min(np.mean(known > least), np.mean(known < -least)) < OTHER_SIGN

@@ -116,7 +116,7 @@ def make(
         raise refusal(name, f"expected at least {MINIMUM_SAMPLES} samples, got {stamps.size}")
     if not columns:
         raise refusal(name, "no channel beside time; columns are <channel>.<joint>, e.g. q.elbow")
-    _check_size(stamps.size, len(columns) + 1, name)
+    check_size(stamps.size, len(columns) + 1, name)
     arrays = {key: _checked(key, values, stamps.size, name) for key, values in columns.items()}
     rows = repaired(stamps, arrays, name)
     if rows.time.size < MINIMUM_SAMPLES:
@@ -153,7 +153,8 @@ def _checked(key: tuple[str, str], values: np.ndarray, count: int, name: str) ->
     return array
 
 
-def _check_size(rows: int, columns: int, name: object) -> None:
+def check_size(rows: int, columns: int, name: object) -> None:
+    """Raise RecordingError for a table that is larger than any recording is."""
     if columns > MOST_COLUMNS:
         raise refusal(
             name, f"{columns} columns, expected at most {MOST_COLUMNS}; leave out what is no channel"
@@ -219,7 +220,7 @@ def read(source: str | os.PathLike[str]) -> Recording:
 
 def _read_parquet(path: Path) -> pa.Table:
     with pa.parquet.ParquetFile(path) as file:
-        _check_size(file.metadata.num_rows, file.metadata.num_columns, path)
+        check_size(file.metadata.num_rows, file.metadata.num_columns, path)
         return file.read()
 
 
@@ -230,7 +231,7 @@ def _read_csv(path: Path) -> pa.Table:
         header = file.readline(LONGEST_HEADER)
     if len(header) == LONGEST_HEADER:
         raise refusal(path, f"its first line has more than {LONGEST_HEADER} bytes; expected names of columns")
-    _check_size(0, header.count(b",") + 1, path)
+    check_size(0, header.count(b",") + 1, path)
     convert = pa.csv.ConvertOptions(null_values=["", "NaN", "nan", "NA", "null"], strings_can_be_null=True)
     return pa.csv.read_csv(path, convert_options=convert)
 

@@ -12,10 +12,12 @@ from xml.etree import ElementTree
 import pinocchio as pin
 
 from flexjoint.core.errors import RobotError, unknown
+from flexjoint.robot import ready_made
 from flexjoint.robot.numbers import floats
 from flexjoint.robot.schema import RobotFile
 
 KINDS = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}  # root element: key of the robot file
+NAMED = ("package://", ready_made.SCHEME)  # before what is no path
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
 PARSE_ERRORS = (ElementTree.ParseError, ValueError, RuntimeError, UnicodeDecodeError)
 
@@ -33,14 +35,14 @@ class Description:
 
 def is_one(source: str | os.PathLike[str]) -> bool:
     """Whether a path is that of a description, by its suffix."""
-    return Path(source).suffix.lower() in SUFFIXES
+    return Path(source).suffix.lower() in SUFFIXES or str(source).startswith(ready_made.SCHEME)
 
 
 def kind_of(source: str, path: Path) -> str:
     """urdf, mjcf or sdf, by the root element of a description: a path, or package:// as of the robot file at
     `path`. Raises RobotError where it is none."""
     named = RobotFile.model_construct(urdf=source, package_dirs=())
-    found = find(named, path) if source.startswith("package://") else Path(source)
+    found = find(named, path) if source.startswith(NAMED) else Path(source)
     if not found.is_file():
         raise RobotError(f"{found} does not exist; give the path of a URDF, MJCF or SDF")
     try:
@@ -79,6 +81,8 @@ def example_robot_data() -> Path:
 def find(file: RobotFile, path: Path) -> Path:
     """The description that the robot file at `path` names; raises RobotError where there is none."""
     kind, name = file.description
+    if name.startswith(ready_made.SCHEME):
+        return ready_made.find(name.removeprefix(ready_made.SCHEME))
     if name.startswith("package://"):
         rest = name.removeprefix("package://")
         folders = package_dirs(file, path)
@@ -100,6 +104,9 @@ def find(file: RobotFile, path: Path) -> Path:
 def package_dirs(file: RobotFile, path: Path) -> tuple[Path, ...]:
     """Where package:// is looked up: the file's own folders, its own place, example-robot-data."""
     own = [path.parent / folder for folder in file.package_dirs]
+    name = file.description[1]
+    if name.startswith(ready_made.SCHEME):
+        own += ready_made.package_dirs(name.removeprefix(ready_made.SCHEME))
     share = example_robot_data()
     return (*own, path.parent, share, share / "example-robot-data")
 

@@ -17,7 +17,7 @@ from flexjoint.core.errors import FlexJointError, RobotError, unknown
 from flexjoint.core.files import write_text
 from flexjoint.effects import Drive, Planned
 from flexjoint.robot import description as robot_description
-from flexjoint.robot import schema
+from flexjoint.robot import ready_made, schema
 from flexjoint.robot import sections as robot_sections
 from flexjoint.robot.contacts import GroundContact, joint_axis
 from flexjoint.robot.numbers import Numbers, as_file, floats, single_axis
@@ -238,7 +238,8 @@ def load(
 
     Args:
         source: path of a robot file, a name of `shipped_robots`, or a description: a path that ends in .urdf,
-            .xml, .mjcf or .sdf, or package://... of example-robot-data.
+            .xml, .mjcf or .sdf, package://... of example-robot-data, or a name of the package
+            robot_descriptions (panda_description), which downloads it.
         sections: what of the robot is there, by the names in its file; default: what the file spawns, or all.
             What hangs on a section that is left out is left out too (`Robot.disabled`).
         preset: a set of numbers of the file; default: those under `joints`.
@@ -260,6 +261,8 @@ def load(
     }
     if not isinstance(source, str | os.PathLike):
         raise RobotError(f"load_robot: expected a path or a name, got {_kind(source)}; {_instead(source)}")
+    if isinstance(source, str) and ready_made.is_name(source) and not Path(source).exists():
+        source = f"{ready_made.SCHEME}{source}"
     if robot_description.is_one(source):
         if sections is not None or preset is not None or grounded:
             raise RobotError(
@@ -342,7 +345,7 @@ def _described(
     tolerance: Mapping[str, float] | None,
 ) -> Robot:
     """A robot of a description alone. Its robot file, which does not exist, would lie beside it."""
-    package = source.startswith("package://")
+    package = source.startswith(robot_description.NAMED)
     path = Path(Path(source).stem + ".yaml") if package else Path(source).with_suffix(".yaml")
     kind = robot_description.kind_of(source, path)
     raw: dict[str, Any] = {"name": path.stem, kind: source if package else Path(source).name}
@@ -377,6 +380,9 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
         if model.existJointName(name):  # else its section is left out
             joints.append(_joint(model, name, entry, where))
     joints.sort(key=lambda joint: joint.idx_v)
+    for joint in joints:
+        if joint.drive.B > 0.0:  # the armature of an MJCF is the same rotor: it counts once
+            model.armature[joint.idx_v] = 0.0
     names = [joint.name for joint in joints]
     absent = [name for name in file.joints if name not in names]
     effects = _effects([e for e in file.effects if e.get("joint") not in absent], names, where)
@@ -493,7 +499,7 @@ def write(robot: Robot, path: str | os.PathLike[str]) -> None:
         )
     raw = robot.file.model_dump(mode="python", exclude_unset=True)
     kind, name = robot.file.description
-    if not name.startswith("package://"):
+    if not name.startswith(robot_description.NAMED):
         raw[kind] = _relative(robot.urdf, out.parent)
     if robot.file.package_dirs:
         raw["package_dirs"] = [_relative(robot.path.parent / d, out.parent) for d in robot.file.package_dirs]

@@ -71,7 +71,7 @@ def test_the_formats_page_names_every_channel_and_key() -> None:
 
 
 def test_the_robot_of_the_formats_page_is_one(tmp_path: Path) -> None:
-    (text,) = blocks(DOCS / "formats.md", "yaml")
+    _, text = blocks(DOCS / "formats.md", "yaml")  # the first one is a mapping
     (tmp_path / "arm2.urdf").write_text(
         '<robot name="arm2"><link name="base"/><link name="arm"/><joint name="elbow" type="continuous">'
         '<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint></robot>'

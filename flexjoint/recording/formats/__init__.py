@@ -1,0 +1,1 @@
+"""Readers of logs, one file a format; what each needs beyond flexjoint is an extra of the package."""

@@ -1,0 +1,61 @@
+"""MCAP files with messages of ROS 2."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from flexjoint.core.errors import FlexJointError, MissingExtraError
+from flexjoint.recording.formats.ros_messages import Messages, kind_of
+from flexjoint.recording.logs.log import Log, unreadable
+from flexjoint.recording.messages import refusal, shown
+
+KIND = "MCAP, messages of ROS 2"
+SUFFIXES = (".mcap",)
+
+
+def read(path: Path) -> Log:
+    """A log of the messages about joints.
+
+    Raises RecordingError with what is wrong with the file, MissingExtraError with what is not installed.
+    """
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+        from mcap_ros2.decoder import DecoderFactory
+    except ImportError:
+        raise MissingExtraError("mcap or mcap-ros2-support", "ros") from None
+    messages, others = Messages(), set()
+    decoders = DecoderFactory()
+    try:
+        with path.open("rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages():
+                kind = kind_of(schema.name) if schema is not None else None
+                decode = decoders.decoder_for(channel.message_encoding, schema) if kind is not None else None
+                if kind is None:
+                    others.add(channel.topic)
+                elif decode is None:
+                    raise refusal(
+                        path,
+                        f"{shown(channel.topic)} is encoded as {shown(channel.message_encoding)},"
+                        f" expected cdr of ROS 2"
+                        " with its message's definition; record it with ros2 bag",
+                    )
+                else:
+                    messages.add(channel.topic, kind, decode(message.data), message.log_time)
+    except FlexJointError:
+        raise
+    except (
+        McapError,
+        OSError,
+        ValueError,
+        KeyError,
+        IndexError,
+        EOFError,
+        struct.error,
+        RuntimeError,
+        TypeError,
+        AttributeError,
+    ) as error:
+        raise unreadable(str(path), KIND, error) from None
+    return messages.log(str(path), KIND, others)

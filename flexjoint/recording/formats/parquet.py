@@ -1,0 +1,30 @@
+"""Parquet tables of any columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet
+
+from flexjoint.core.errors import FlexJointError
+from flexjoint.recording.formats.text import log_of, numbers_of
+from flexjoint.recording.logs.log import Log, unreadable
+from flexjoint.recording.table import check_size
+
+KIND = "Parquet table"
+SUFFIXES = (".parquet", ".pq")
+
+
+def read(path: Path) -> Log:
+    """A log of the columns that hold numbers; RecordingError says what is wrong with the file."""
+    try:
+        with pa.parquet.ParquetFile(path) as file:
+            check_size(file.metadata.num_rows, file.metadata.num_columns, path)
+            table = file.read()
+        columns = {name: numbers_of(table.column(k)) for k, name in enumerate(table.column_names)}
+    except FlexJointError:
+        raise
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise unreadable(str(path), KIND, error) from None
+    return log_of(path, KIND, columns)

@@ -1,0 +1,168 @@
+"""The first robot file of a description: what is read, what is marked, and that it loads."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from support.robot_files import MJCF, URDF
+
+from flexjoint.core.errors import FlexJointError, RobotError
+from flexjoint.robot import robot
+from flexjoint.robot.draft import CHECK, TOLERANCE, Seen, draft
+from flexjoint.robot.robot import shipped_robots
+
+DYNAMICS = '<limit lower="-2" upper="2" effort="35" velocity="9"/><dynamics damping="0.7" friction="0.3"/>'
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    path = tmp_path / "arm2.urdf"
+    path.write_text(URDF)
+    return path
+
+
+def test_a_urdf_becomes_a_rigid_robot_with_what_it_states(tmp_path: Path, urdf: Path) -> None:
+    urdf.write_text(URDF.replace('<limit lower="-2" upper="2" effort="35" velocity="9"/>', DYNAMICS))
+    out = tmp_path / "arm.yaml"
+    made = draft(str(urdf), out)
+    out.write_text(made.text)
+    loaded = robot.load(out)
+    assert loaded.joint_names == ("shoulder", "elbow", "wrist") and loaded.mass == pytest.approx(3.5)
+    elbow = loaded.joint("elbow")
+    assert elbow.rigid and elbow.torque_limit == 35.0 and elbow.drive.D_m == 0.7 and elbow.drive.B == 0.0
+    (friction,) = loaded.effects
+    assert (friction.effect.name, friction.joint, friction.nominal) == (
+        "motor_coulomb_friction",
+        "elbow",
+        True,
+    )
+    assert friction.p.level == 0.3
+    assert loaded.tolerance.model_dump() == {key: value for key, value, _ in TOLERANCE}
+    assert math.isinf(loaded.joint("shoulder").torque_limit)  # continuous, without a limit
+    assert "no torque limit of shoulder" in "\n".join(made.notes)
+
+
+def test_every_number_that_is_not_known_is_marked_with_where_to_find_it(tmp_path: Path, urdf: Path) -> None:
+    text = draft(str(urdf), tmp_path / "arm.yaml").text
+    marked = [line for line in text.splitlines() if CHECK in line]
+    for joint in ("shoulder", "elbow", "wrist"):
+        own = text.split(f"\n  {joint}:\n")[1].split("\n  ")[0]
+        for key in ("motor_inertia: 0", "motor_damping: 0", "# gear_ratio", "# torque_constant"):
+            (line,) = (line for line in text.split(f"\n  {joint}:\n")[1].splitlines()[:6] if key in line)
+            assert CHECK in line, own
+    assert any("torque_limit" in line for line in marked)  # the shoulder's
+    assert sum("gravity" in line or "control:" in line for line in marked) == 2
+    assert all(len(line) <= 120 for line in text.splitlines())
+
+
+def test_comments_tell_of_springs_unless_all_is_rigid(tmp_path: Path, urdf: Path) -> None:
+    assert "series spring" in draft(str(urdf), tmp_path / "arm.yaml").text
+    assert "spring" not in draft(str(urdf), tmp_path / "arm.yaml", springs=False).text.split("joints:")[1]
+
+
+def test_an_mjcf_gives_its_armature_and_it_counts_once(tmp_path: Path) -> None:
+    path = tmp_path / "arm2.xml"
+    joint = '<joint name="elbow" type="hinge" axis="0 1 0"'
+    path.write_text(
+        MJCF.format(free="").replace(joint, f'{joint} armature="0.25" damping="0.7" frictionloss="0.3"')
+    )
+    out = tmp_path / "arm2.yaml"
+    out.write_text(draft(str(path), out).text)
+    loaded = robot.load(out)
+    elbow = loaded.joint("elbow")
+    assert (elbow.drive.B, elbow.drive.D_m) == (0.25, 0.7) and loaded.effects[0].p.level == 0.3
+    assert loaded.model.armature[elbow.idx_v] == 0.0  # else the rotor would be there twice
+    bare = robot.load(str(path), joints=["elbow"])
+    assert bare.model.armature[bare.joint("elbow").idx_v] == 0.25  # nobody states a motor_inertia
+
+
+def test_a_floating_base_and_joints_of_several_axes(tmp_path: Path) -> None:
+    path = tmp_path / "arm2.xml"
+    text = MJCF.format(free='<freejoint name="root"/>')
+    path.write_text(text.replace('<joint name="shoulder" type="hinge" axis="0 1 0"/>', ""))
+    made = draft(str(path), tmp_path / "arm2.yaml")
+    assert made.robot.floating and made.robot.joint_names == ("elbow",)
+    path.write_text(
+        MJCF.format(free="").replace('"shoulder" type="hinge" axis="0 1 0"', '"ball" type="ball"')
+    )
+    made = draft(str(path), tmp_path / "arm2.yaml")
+    assert "  - ball  # 3 degrees of freedom: only single-axis joints can be actuated" in made.text
+
+
+def test_mimicking_joints_are_held(tmp_path: Path) -> None:
+    panda = "package://example-robot-data/robots/panda_description/urdf/panda.urdf"
+    made = draft(panda, tmp_path / "panda.yaml")
+    assert yaml.safe_load(made.text)["lock"] == ["panda_finger_joint2"]
+    assert "kg, CHECK" in made.text and "N s/m" in made.text  # of the finger, which slides
+    assert yaml.safe_load(made.text)["urdf"] == panda
+
+
+def test_a_recording_fills_in_what_it_shows(tmp_path: Path, urdf: Path) -> None:
+    seen = Seen("monday.csv", 2000.0, {"shoulder": ("q", "theta", "current"), "elbow": ("theta",)})
+    made = draft(str(urdf), tmp_path / "arm.yaml", seen)
+    raw = yaml.safe_load(made.text)
+    assert raw["rates"] == {"physics": 2000, "control": 2000} and raw["lock"] == ["wrist"]
+    assert raw["offsets"] == "per_recording" and list(raw["joints"]) == ["shoulder", "elbow"]
+    assert "both encoders are recorded" in made.text and "needed for the recorded currents" in made.text
+    with pytest.raises(FlexJointError, match="unknown joint 'hip'; valid: elbow, shoulder, wrist"):
+        draft(str(urdf), tmp_path / "arm.yaml", Seen("m.csv", 250.0, {"hip": ("q",)}))
+
+
+def test_it_resolves_from_wherever_it_is_written(tmp_path: Path, urdf: Path) -> None:
+    out = tmp_path / "deep" / "er" / "arm.yaml"
+    text = draft(str(urdf), out).text
+    assert yaml.safe_load(text)["urdf"] == "../../arm2.urdf"
+    out.parent.mkdir(parents=True)
+    out.write_text(text)
+    assert robot.load(out).joint_names == ("shoulder", "elbow", "wrist")
+
+
+@pytest.mark.parametrize("name", ["yes", "1", "a: b", "ä#", "- x", "null", "q'\"{", "1e3"])
+def test_whatever_joints_are_called_the_file_loads(tmp_path: Path, urdf: Path, name: str) -> None:
+    from xml.sax.saxutils import quoteattr
+
+    urdf.write_text(URDF.replace('"elbow"', quoteattr(name)))
+    out = tmp_path / "arm.yaml"
+    made = draft(str(urdf), out, Seen("m.csv", 250.0, {"shoulder": ("q",), "wrist": ("q",)}))
+    assert yaml.safe_load(made.text)["lock"] == [name]
+    out.write_text(draft(str(urdf), out).text)
+    assert name in robot.load(out).joint_names
+
+
+def test_a_body_without_inertia_is_told(tmp_path: Path, urdf: Path) -> None:
+    text = URDF.replace('ixx="0.02" iyy="0.02" izz="0.02"', 'ixx="0" iyy="0" izz="0"').replace(
+        "0 0 -0.05", "0 0 0"
+    )
+    urdf.write_text(text)
+    made = draft(str(urdf), tmp_path / "arm.yaml")
+    assert "nothing resists the torque of wrist" in "\n".join(made.notes)
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("nowhere.urdf", "does not exist; give the path of a URDF, MJCF or SDF"),
+        ("robot.yaml", "expected a URDF, MJCF or SDF"),
+        ("package://nothing/x.urdf", "not found under"),
+    ],
+)
+def test_what_is_no_description_is_refused(tmp_path: Path, source: str, said: str) -> None:
+    with pytest.raises(RobotError, match=said) as error:
+        draft(source, tmp_path / "arm.yaml")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", sorted(shipped_robots()))
+def test_the_descriptions_of_shipped_robots_make_drafts(tmp_path: Path, name: str) -> None:
+    shipped = robot.load(shipped_robots()[name])
+    assert shipped.urdf is not None
+    out = tmp_path / "draft.yaml"
+    out.write_text(draft(str(shipped.urdf), out).text)
+    loaded = robot.load(out)
+    assert set(shipped.joint_names) <= set(loaded.joint_names) and all(j.rigid for j in loaded.joints)
+    if name in ("kr300", "tx40"):
+        assert np.array_equal(shipped.model.lowerPositionLimit, loaded.model.lowerPositionLimit)
