@@ -15,7 +15,7 @@ help:
 	@echo "make test-all   these and the long tests, which diagnose a lot: half an hour or more; .ci/run runs them"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style, types and who imports whom"
-	@echo "make docs   regenerate docs/effects.md, docs/settings.md and the table in docs/architecture.md"
+	@echo "make docs   regenerate docs/effects.md, docs/settings.md, docs/limits.md and the table in docs/architecture.md"
 	@echo "make pictures   draw the pictures of effect_of_stiffness and centauro (notebooks) anew; needs Chromium"
 	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
 	@echo "make clean  remove .venv and everything that was built"
@@ -50,6 +50,8 @@ docs: .venv/.demo
 	mv docs/effects.md.new docs/effects.md
 	$(BIN)/python -c "from flexjoint.diagnosis.settings import settings_page; print(settings_page(), end='')" > docs/settings.md.new
 	mv docs/settings.md.new docs/settings.md
+	$(BIN)/python -c "from flexjoint.core.limits import limits_page; print(limits_page(), end='')" > docs/limits.md.new
+	mv docs/limits.md.new docs/limits.md
 	$(BIN)/python docs/modules.py
 
 pictures: .venv/.test

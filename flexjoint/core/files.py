@@ -1,4 +1,4 @@
-"""Writing files whole or not at all."""
+"""Files read within a size, and written whole or not at all."""
 
 from __future__ import annotations
 
@@ -12,6 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from flexjoint.core.errors import FlexJointError
+
+
+def read_text(path: Path, most: int) -> str:
+    """The text of a file of at most `most` bytes.
+
+    Raises as Path.read_text, and FlexJointError for a larger file, or a pipe or device, which has no end."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise FlexJointError(f"{path} is no file but a pipe or device; give a file")
+    with path.open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise FlexJointError(f"{path} has more than {most} bytes, the most that is read (docs/limits.md)")
+    return content.decode("utf-8-sig")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.core.errors import RecordingError
+from flexjoint.core.limits import RECORDING
 from flexjoint.recording.messages import refusal
 
 Columns = Mapping[tuple[str, str], np.ndarray]
@@ -22,7 +23,7 @@ SLOWEST = 50.0  # Hz; below it neither springs nor controllers show
 FASTEST_COUNTED = 2e4  # Hz; no robot is logged faster: what divides microseconds from nanoseconds
 UNITS = {"nanoseconds": 1e-9, "microseconds": 1e-6, "milliseconds": 1e-3}
 EPOCH = (1e9, 4e9)  # s since 1970, of the years 2001 to 2096: a clock of a computer
-LATEST = 1e10  # s, beyond which no time lies; float64 resolves 2 us there
+LATEST = RECORDING.time  # s, beyond which no time lies
 PAUSE = 1.0  # s: whitening leaves a tail of half a second, so that two pieces do not see each other; or
 PAUSE_PERIODS = 10.0  # sampling periods, where those are longer
 PIECE = 50  # rows, as of a recording: fewer between two steps back are no piece of a recording

@@ -17,7 +17,9 @@ import pyarrow.parquet
 
 from flexjoint.core.errors import RecordingError, unknown
 from flexjoint.core.files import write_bytes
-from flexjoint.recording.messages import refusal, shown
+from flexjoint.core.limits import RECORDING
+from flexjoint.core.messages import shown
+from flexjoint.recording.messages import refusal
 from flexjoint.recording.stamps import repaired
 
 UNITS: Mapping[str, str] = MappingProxyType(
@@ -38,13 +40,13 @@ UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")  # what a simulation is compared on
-MINIMUM_SAMPLES = 50
+MINIMUM_SAMPLES = RECORDING.rows
 LEAST_PRESENT = 0.05  # of a column's rows
-LARGEST = 1e9  # in the unit of any channel: no sensor of a robot shows as much, and fourth powers stay finite
-MOST_COLUMNS = 2000  # the 13 channels of 150 joints
-MOST_CELLS = 100_000_000  # 0.8 GB as numbers: an hour of 27 columns at 1 kHz
-MOST_BYTES = 2_000_000_000  # of a CSV file, whose cells are not known before it is read
-LONGEST_HEADER = 200_000  # bytes of a CSV's first line: 2000 names of 100
+LARGEST = RECORDING.value  # in the unit of any channel
+MOST_COLUMNS = RECORDING.columns
+MOST_CELLS = RECORDING.cells
+MOST_BYTES = RECORDING.csv_bytes
+LONGEST_HEADER = RECORDING.header_bytes
 
 
 @dataclass(frozen=True)
