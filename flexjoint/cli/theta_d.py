@@ -23,6 +23,7 @@ from flexjoint.core.units import of_joint
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.statics.equilibrium import Equilibrium, equilibrium
 from flexjoint.model.statics.forces import Contact
+from flexjoint.recording.table import read_csv, read_parquet
 from flexjoint.robot.robot import Robot
 
 SUFFIXES = (".csv", ".parquet")
@@ -144,12 +145,10 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise RecordingError(f"table of poses {path} does not exist; give a .csv or .parquet file")
     try:
-        if path.stat().st_size > RECORDING.csv_bytes:
-            raise RecordingError(f"{path} has more than {RECORDING.csv_bytes} bytes; split the table")
         if path.suffix == ".parquet":
-            table = pa.parquet.read_table(path)
+            table = read_parquet(path)
         elif path.suffix == ".csv":
-            table = pa.csv.read_csv(path)
+            table = read_csv(path)
         else:
             raise RecordingError(
                 f"{path}: expected a .csv or .parquet file, got {path.suffix or 'no suffix'}"
@@ -159,10 +158,9 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise RecordingError(
             f"{path} cannot be read as {path.suffix[1:]}: {' '.join(str(error).split())[:200]}"
         ) from None
-    if len(names) > RECORDING.columns or table.num_rows > RECORDING.poses:
+    if table.num_rows > RECORDING.poses:
         raise RecordingError(
-            f"{path} holds {table.num_rows} rows of {len(names)} columns, expected at most {RECORDING.poses}"
-            f" of {RECORDING.columns}; split the table"
+            f"{path} holds {table.num_rows} poses, expected at most {RECORDING.poses}; split the table"
         )
     out: dict[str, np.ndarray] = {}
     for name in names:

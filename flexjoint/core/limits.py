@@ -35,7 +35,7 @@ class RobotFileLimits:
     """A robot file (YAML)."""
 
     file_bytes: int = limit(1_000_000, "bytes", "a hundred times the largest shipped one")
-    nodes: int = limit(50_000, "values", "aliases counted as what they stand for: 1000 joints of 50 values")
+    nodes: int = limit(20_000, "values", "aliases counted as what they stand for: 400 joints of 50 values")
     depth: int = limit(30, "levels", "the form has six; `sources` is free")
     number: float = limit(1e12, "SI units", "squares of numbers stay finite; .inf where a limit is none")
     positive: float = limit(1e-9, "SI units", "of what must be above zero: its inverse stays finite")
@@ -68,6 +68,21 @@ class DiagnosisFileLimits:
 
 
 @dataclass(frozen=True)
+class PlanningLimits:
+    """Reach and speed of a planned motion."""
+
+    least: float = limit(1e-3, "rad, rad/s", "no sensor sees less")
+    most: float = limit(1e3, "rad, rad/s", "no joint goes further, or faster")
+
+
+@dataclass(frozen=True)
+class SimulationLimits:
+    """A simulation along a reference."""
+
+    joint_steps: float = limit(3e7, "steps times joints", "an hour of 8 joints at 1 kHz; each is 250 bytes")
+
+
+@dataclass(frozen=True)
 class CompilingLimits:
     """Compiling, and the cache of compiled models."""
 
@@ -81,8 +96,9 @@ class CompilingLimits:
 
 
 RECORDING, ROBOT_FILE, DESCRIPTION = RecordingLimits(), RobotFileLimits(), DescriptionLimits()
-DIAGNOSIS_FILE, COMPILING = DiagnosisFileLimits(), CompilingLimits()
-ALL = (RECORDING, ROBOT_FILE, DESCRIPTION, DIAGNOSIS_FILE, COMPILING)
+DIAGNOSIS_FILE, PLANNING = DiagnosisFileLimits(), PlanningLimits()
+SIMULATION, COMPILING = SimulationLimits(), CompilingLimits()
+ALL = (RECORDING, ROBOT_FILE, DESCRIPTION, DIAGNOSIS_FILE, PLANNING, SIMULATION, COMPILING)
 
 
 def limits_page() -> str:

@@ -207,9 +207,9 @@ def read(source: str | os.PathLike[str]) -> Recording:
         raise refusal(f"recording {path}", "is empty; expected a table with a time column", " ")
     try:
         if path.suffix == ".parquet":
-            table = _read_parquet(path)
+            table = read_parquet(path)
         elif path.suffix == ".csv":
-            table = _read_csv(path)
+            table = read_csv(path)
         else:
             raise refusal(path, f"expected a .csv or .parquet file, got {shown(path.suffix) or 'no suffix'}")
         names = table.column_names  # decoded here, so that a bad one is caught
@@ -219,13 +219,15 @@ def read(source: str | os.PathLike[str]) -> Recording:
     return _from_table(table, names, path)
 
 
-def _read_parquet(path: Path) -> pa.Table:
+def read_parquet(path: Path) -> pa.Table:
+    """A Parquet file whose size and columns are within the limits; raises RecordingError."""
     with pa.parquet.ParquetFile(path) as file:
         _check_size(file.metadata.num_rows, file.metadata.num_columns, path)
         return file.read()
 
 
-def _read_csv(path: Path) -> pa.Table:
+def read_csv(path: Path) -> pa.Table:
+    """A CSV whose size and columns are within the limits; raises RecordingError."""
     if path.stat().st_size > MOST_BYTES:
         raise refusal(path, f"more than {MOST_BYTES:g} bytes; cut the recording, or write it as Parquet")
     with path.open("rb") as file:

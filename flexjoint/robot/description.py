@@ -151,7 +151,7 @@ def leaves_package(name: str) -> bool:
     depth = 0
     for part in PurePosixPath(name.removeprefix("package://").replace("\\", "/")).parts:
         depth += {"..": -1, "/": 0}.get(part, 1)
-        if depth < 1 and part == "..":
+        if depth < 0:
             return True
     return False
 
@@ -189,7 +189,9 @@ def _parsed(description: Description, parse: Callable[[], Made]) -> Made:
             return parse()
         except PARSE_ERRORS as error:
             failure: Exception = error
-    raise _unreadable(description.kind, description.path, " ".join([str(failure), *said]))
+    errors = [line.removeprefix("Error:").strip() for line in said if line.startswith("Error")]
+    reason = str(failure).rpartition("message:")[2]  # before it Pinocchio tells where in its source
+    raise _unreadable(description.kind, description.path, " ".join([reason, *errors[:1]]))
 
 
 @contextlib.contextmanager

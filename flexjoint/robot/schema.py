@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -45,7 +45,7 @@ class JointEntry(Strict):
     gear_ratio: float | None = Field(None, gt=0)
     torque_constant: float | None = Field(None, gt=0)  # N m/A at the motor
     controller: dict[str, Any] | str | None = None
-    resolution: dict[str, float] = Field(default_factory=dict)
+    resolution: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
 
 
 class Section(Strict):

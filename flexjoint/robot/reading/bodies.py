@@ -25,7 +25,7 @@ def unlike_a_body(mass: float, inertia: np.ndarray, where: str) -> bool:
     if mass < 0.0:
         raise RobotError(f"{where}: mass {mass:g} kg is negative; give what the body weighs")
     low, middle, high = (float(x) for x in np.linalg.eigvalsh(inertia))
-    if high < 0.0 or low + middle + high < 0.0:
+    if low + middle + high < -SLIGHT:
         raise RobotError(
             f"{where}: its inertia is negative (principal moments {low:g}, {middle:g}, {high:g})"
         )

@@ -6,6 +6,7 @@ It reads bodies, joints, geoms and defaults, and passes over what it does not kn
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -17,6 +18,8 @@ from flexjoint.robot.reading.urdf_checks import LEAST_AXIS
 
 WHOLE = "save it whole with MuJoCo: mujoco.mj_saveLastXML(path, mujoco.MjModel.from_xml_path(path))"
 IN_BODIES = ("body", "joint", "freejoint", "geom", "site", "inertial", "camera", "light", "plugin")
+SIZES = {"capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}  # numbers that a geom's size has
+LENGTH = 2  # of those whose second number is a length, which fromto gives, too
 NUMBERS = {  # attributes that hold numbers, and how many of them; none: any
     "pos": (3,),
     "quat": (4,),
@@ -55,7 +58,10 @@ def check(root: Element, where: str) -> tuple[dict[str, str], list[str]]:
     xml_file.check_count({"bodies": len(found)}, where)
     for tree in (*root.findall("worldbody"), *root.findall("default")):
         for element in tree.iter():
-            _check_numbers(element, f"{where}: {element.tag} {shown(element.get('name', ''))}".rstrip())
+            inside = f"{where}: {element.tag} {shown(element.get('name', ''))}".rstrip()
+            _check_numbers(element, inside)
+            if element.tag == "geom":
+                _check_size(element, inside)
     for world in root.findall("worldbody"):
         for place in (world, *world.iter("body")):
             strange = next((inner.tag for inner in place if inner.tag not in IN_BODIES), None)
@@ -63,6 +69,26 @@ def check(root: Element, where: str) -> tuple[dict[str, str], list[str]]:
                 raise RobotError(
                     f"{where}: <{shown(strange)}> within a body is not read; delete it, or {WHOLE}"
                 )
+    _check_names(found, where)
+    return _followers(root, where), _warnings(found, where)
+
+
+def _warnings(found: Sequence[Element], where: str) -> list[str]:
+    """What of the bodies a user should know."""
+    names = [shown(body.get("name", "a body")) for body in found]
+    odd = [name for name, body in zip(names, found, strict=True) if _unlike(body, where)]
+    guessed = [name for name, body in zip(names, found, strict=True) if _of_a_mesh(body)]
+    warnings = [bodies.warning_of(odd, where)] if odd else []
+    if guessed:
+        more = f" and {len(guessed) - 1} more" if len(guessed) > 1 else ""
+        warnings.append(
+            f"{where}: body {guessed[0]}{more} has its mass from a mesh, which is not read: it is 1 kg; write"
+            " its <inertial>"
+        )
+    return warnings
+
+
+def _check_names(found: Sequence[Element], where: str) -> None:
     joints = [joint for body in found for joint in body.findall("joint")]
     for kind, elements in (("body", found), ("joint", joints)):
         names = Counter(e.attrib["name"] for e in elements if "name" in e.attrib)
@@ -73,8 +99,6 @@ def check(root: Element, where: str) -> tuple[dict[str, str], list[str]]:
                 raise RobotError(
                     f"{where}: {kind} '{shown(name)}' has control characters in its name; rename it"
                 )
-    odd = [shown(body.get("name", "a body")) for body in found if _unlike(body, where)]
-    return _followers(root, where), [bodies.warning_of(odd, where)] if odd else []
 
 
 def _check_classes(root: Element, where: str) -> None:
@@ -99,6 +123,27 @@ def _check_numbers(element: Element, where: str) -> None:
             direction = attribute in ("axis", "quat", "zaxis")
             if direction and float(np.linalg.norm(values)) < LEAST_AXIS:
                 raise RobotError(f"{where}: its {attribute} is zero; give a direction, such as 0 0 1")
+
+
+def _check_size(geom: Element, where: str) -> None:
+    """A geom's size, where it says itself what it is."""
+    size = geom.get("size")
+    if size is None:
+        return
+    given = xml_file.numbers(size, (), f"{where}: size")
+    needed = SIZES.get(geom.get("type", ""), 1)
+    if needed == LENGTH and "fromto" in geom.attrib:
+        needed = 1
+    if len(given) < needed or min(given) < 0.0:
+        raise RobotError(f"{where}: size '{shown(size)}': expected {needed} numbers, none below 0")
+
+
+def _of_a_mesh(body: Element) -> bool:
+    """Whether a body's mass is to be that of a mesh."""
+    if body.find("inertial") is not None:
+        return False
+    meshes = [geom for geom in body.findall("geom") if "mesh" in geom.attrib]
+    return any("mass" not in geom.attrib and float(geom.get("density", "1")) > 0.0 for geom in meshes)
 
 
 def _unlike(body: Element, where: str) -> bool:

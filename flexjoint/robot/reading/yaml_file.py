@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from flexjoint.core.messages import shown
 
 FREE = ("sources", "controller")  # keys below which anything may stand
 SWITCHES = ("supports", "nominal")  # keys that hold true or false
+PLAIN = re.compile(  # decimal numbers, and YAML's infinity and NaN
+    r"[-+]?((0|[1-9]\d*)(\.\d*)?|\.\d+)([eE][-+]?\d+)?\Z|[-+]?\.(inf|Inf|INF|nan|NaN|NAN)\Z"
+)
 MULTILINE = "\n\t\r"
 
 
@@ -49,14 +53,12 @@ def check_values(raw: Any, where: str) -> None:
                 raise RobotError(
                     f"{where}: {shown(key)}: '{shown(value)}' holds control characters; rename it"
                 )
-        elif any(part in FREE for part in path):
-            continue
         elif isinstance(value, bool):
-            if path[-1] not in SWITCHES:
+            if path[-1] not in SWITCHES and not any(part in FREE for part in path):
                 said = str(value).lower()
                 raise RobotError(f"{where}: {shown(key)}: expected a number or a name, got {said}")
         elif isinstance(value, int | float):
-            if math.isnan(value):
+            if isinstance(value, float) and math.isnan(value):
                 raise RobotError(f"{where}: {shown(key)}: expected a number, got .nan; leave the key out")
             if ROBOT_FILE.number < abs(value) < math.inf:
                 raise RobotError(
@@ -120,6 +122,19 @@ class _Loader(yaml.SafeLoader):
                 " fewer"
             )
 
+    def plain_number(self, node: yaml.ScalarNode) -> float:
+        """A number as it is read by people: YAML 1.1 takes 010 for 8, 1:30 for 90 and 1_0 for 10."""
+        text = str(node.value)
+        if not PLAIN.match(text):
+            raise RobotError(
+                f"line {node.start_mark.line + 1}: '{shown(text)}' would be read as an octal, hexadecimal or"
+                " sexagesimal number; write it as a decimal one, or in quotes"
+            )
+        made: float = (
+            self.construct_yaml_int(node) if node.tag.endswith(":int") else self.construct_yaml_float(node)
+        )
+        return made
+
     def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
         if isinstance(node, yaml.MappingNode):
             seen: set[Any] = set()
@@ -131,3 +146,7 @@ class _Loader(yaml.SafeLoader):
                     )
                 seen.add(name)
         return super().construct_mapping(node, deep)  # type: ignore[arg-type]
+
+
+for _kind in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.plain_number)
