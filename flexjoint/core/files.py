@@ -13,6 +13,8 @@ from typing import Any
 
 from flexjoint.core.errors import FlexJointError
 
+PREFIX = 40  # characters of a name that its temporary file takes over: names have an end
+
 
 def read_text(path: Path, most: int) -> str:
     """The text of a file of at most `most` bytes.
@@ -60,7 +62,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a file whole or not at all; raises FlexJointError when the place cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:PREFIX]}.")
     except OSError as error:
         raise FlexJointError(f"cannot write {path}: {error.strerror or error}") from None
     try:
