@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.metadata
 import os
-import sys
-import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
@@ -15,6 +12,7 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
+from flexjoint.core import native_output
 from flexjoint.core.errors import RobotError, unknown
 from flexjoint.core.messages import one_line
 from flexjoint.robot.numbers import floats
@@ -25,8 +23,6 @@ KINDS = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}  # root element: key o
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
 PARSE_ERRORS = (ElementTree.ParseError, ValueError, RuntimeError, LookupError, OSError)
 SAID = 200  # characters of what a parser says
-READ = 4000  # bytes of it that are looked at
-STANDARD_ERROR = 2  # file descriptor of C and C++
 
 Made = TypeVar("Made")
 
@@ -184,35 +180,13 @@ def model(description: Description, floating: bool) -> pin.Model:
 def _parsed(description: Description, parse: Callable[[], Made]) -> Made:
     """What a parser of Pinocchio makes; raises RobotError with what it said. Its own lines on standard error,
     which only repeat that, are not shown."""
-    with _standard_error() as said:
+    with native_output.held() as said:
         try:
             return parse()
         except PARSE_ERRORS as error:
             failure: Exception = error
-    errors = [line.removeprefix("Error:").strip() for line in said if line.startswith("Error")]
-    reason = str(failure).rpartition("message:")[2]  # before it Pinocchio tells where in its source
-    raise _unreadable(description.kind, description.path, " ".join([reason, *errors[:1]]))
-
-
-@contextlib.contextmanager
-def _standard_error() -> Iterator[list[str]]:
-    """Holds back what C++ writes to standard error; on leaving, the list has its lines."""
-    lines: list[str] = []
-    sys.stderr.flush()
-    try:
-        shown = os.dup(STANDARD_ERROR)
-    except OSError:  # it is closed
-        yield lines
-        return
-    with tempfile.TemporaryFile() as held:
-        os.dup2(held.fileno(), STANDARD_ERROR)
-        try:
-            yield lines
-        finally:
-            os.dup2(shown, STANDARD_ERROR)
-            os.close(shown)
-            held.seek(0)
-            lines += held.read(READ).decode("utf-8", "replace").splitlines()
+    reason = " ".join([native_output.message(failure), *native_output.errors(said)[:1]])
+    raise _unreadable(description.kind, description.path, reason)
 
 
 def _unreadable(kind: str, path: Path, error: object) -> RobotError:

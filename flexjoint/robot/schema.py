@@ -157,6 +157,11 @@ def parse(raw: Any, where: str, described: bool = True) -> RobotFile:
                 f"{where}: joints.{name}: a motor behind a spring of {joint.stiffness:g} N m/rad needs its"
                 " inertia; give motor_inertia > 0 [kg m^2], or .inf as the stiffness of a rigid joint"
             )
+    for key in ("lock", "continuous", "spawn"):
+        listed = getattr(file, key) or ()
+        for name in listed:
+            if listed.count(name) > 1:
+                raise RobotError(f"{where}: {key}: '{shown(name)}' is listed twice; keep one")
     for name, section in file.sections.items():
         if section.roots and section.parts:
             raise RobotError(f"{where}: section {name} has both roots and parts; keep one of them")

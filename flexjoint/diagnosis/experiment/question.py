@@ -101,7 +101,7 @@ def read(path: Path, robot: Robot) -> Question:
         return _question(content, robot)
     except FlexJointError as error:
         raise FlexJointError(f"{path}: {error}") from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise FlexJointError(f"{path} is not as docs/formats.md has it ({error!r}); diagnose anew") from None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -11,7 +12,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from flexjoint.core.errors import RobotError
+from flexjoint.core import native_output
+from flexjoint.core.errors import RobotError, RobotWarning
 from flexjoint.core.messages import shown
 from flexjoint.report.view import meshes
 from flexjoint.report.view.meshes import Mesh
@@ -55,18 +57,23 @@ def _described(robot: Robot, kind: Kind) -> tuple[Shape, ...]:
     folders = [str(folder) for folder in (*description.package_dirs, description.path.parent)]
     _check_names(description)
     try:
-        if description.kind == "urdf":
-            loader = coal.CachedMeshLoader()
-            built = pin.buildGeomFromUrdfString(robot.model, description.text, wanted, None, folders, loader)
-        elif description.kind == "mjcf":
-            built = pin.buildGeomFromMJCF(robot.model, str(description.path), wanted)
-        else:
-            return ()
-    except (ValueError, RuntimeError) as error:
+        with native_output.held() as said:
+            if description.kind == "urdf":
+                loader = coal.CachedMeshLoader()
+                built = pin.buildGeomFromUrdfString(
+                    robot.model, description.text, wanted, None, folders, loader
+                )
+            elif description.kind == "mjcf":
+                built = pin.buildGeomFromMJCF(robot.model, str(description.path), wanted)
+            else:
+                return ()
+    except (ValueError, RuntimeError, LookupError) as error:
         raise RobotError(
-            f"{robot.name}: a mesh of {description.path} cannot be read: {' '.join(str(error).split())};"
-            " add its folder to package_dirs, or view the robot as sticks"
+            f"{robot.name}: a mesh of {description.path} cannot be read: {native_output.message(error)}; add"
+            " its folder to package_dirs, or view the robot as sticks"
         ) from None
+    for line in native_output.errors(said)[:1]:
+        warnings.warn(f"{robot.name}: not all of its geometry is shown: {line}", RobotWarning, stacklevel=2)
     known: dict[str, Mesh] = {}
     out = []
     for item in built.geometryObjects:
