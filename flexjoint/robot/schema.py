@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -144,6 +145,12 @@ def parse(raw: Any, where: str, described: bool = True) -> RobotFile:
     if described and len(given) != 1:
         came = " and ".join(given) or "none of them"
         raise RobotError(f"{where}: expected one of urdf, mjcf and sdf, the robot's description; got {came}")
+    _check_joints(file, where)
+    _check_lists(file, where)
+    return file
+
+
+def _check_joints(file: RobotFile, where: str) -> None:
     for name, joint in file.joints.items():
         for key in POSITIVE:
             number = getattr(joint, key)
@@ -157,10 +164,13 @@ def parse(raw: Any, where: str, described: bool = True) -> RobotFile:
                 f"{where}: joints.{name}: a motor behind a spring of {joint.stiffness:g} N m/rad needs its"
                 " inertia; give motor_inertia > 0 [kg m^2], or .inf as the stiffness of a rigid joint"
             )
+
+
+def _check_lists(file: RobotFile, where: str) -> None:
     for key in ("lock", "continuous", "spawn"):
         listed = getattr(file, key) or ()
-        for name in listed:
-            if listed.count(name) > 1:
+        for name, count in Counter(listed).items():
+            if count > 1:
                 raise RobotError(f"{where}: {key}: '{shown(name)}' is listed twice; keep one")
     for name, section in file.sections.items():
         if section.roots and section.parts:
@@ -175,7 +185,6 @@ def parse(raw: Any, where: str, described: bool = True) -> RobotFile:
                 f"{where}: contacts: {contact.frame} rolls with {contact.rolls} and has no radius; give the"
                 " wheel's radius [m]"
             )
-    return file
 
 
 def _readable(error: ValidationError, raw: dict[str, Any], where: str) -> FlexJointError:
