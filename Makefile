@@ -7,15 +7,16 @@ OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-all study lint docs bench pictures clean
+.PHONY: help demo test test-all fuzz study lint docs bench pictures clean
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
 	@echo "make test   make lint, and tests"
 	@echo "make test-all   these and the long tests, which diagnose a lot: half an hour or more; .ci/run runs them"
+	@echo "make fuzz   hostile input to every reader and the main commands; an hour, EXAMPLES=300 for some minutes"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style, types and who imports whom"
-	@echo "make docs   regenerate docs/effects.md, docs/settings.md and the table in docs/architecture.md"
+	@echo "make docs   regenerate docs/effects.md, docs/settings.md, docs/limits.md and the table in docs/architecture.md"
 	@echo "make pictures   draw the pictures of effect_of_stiffness and centauro (notebooks) anew; needs Chromium"
 	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
 	@echo "make clean  remove .venv and everything that was built"
@@ -31,6 +32,11 @@ test: lint
 
 test-all: lint
 	$(PYTEST)
+
+# new inputs each time, EXAMPLES of them for each test; what breaks goes into tests/fuzz/corpus
+EXAMPLES ?= 3000
+fuzz: .venv/.test
+	FLEXJOINT_FUZZ=$(EXAMPLES) $(PYTEST) tests/fuzz
 
 # SHARD=1/2 and SHARD=2/2 share the work; STUDY is the folder that holds what is done
 STUDY ?= study-results
@@ -50,6 +56,8 @@ docs: .venv/.demo
 	mv docs/effects.md.new docs/effects.md
 	$(BIN)/python -c "from flexjoint.diagnosis.settings import settings_page; print(settings_page(), end='')" > docs/settings.md.new
 	mv docs/settings.md.new docs/settings.md
+	$(BIN)/python -c "from flexjoint.core.limits import limits_page; print(limits_page(), end='')" > docs/limits.md.new
+	mv docs/limits.md.new docs/limits.md
 	$(BIN)/python docs/modules.py
 
 pictures: .venv/.test

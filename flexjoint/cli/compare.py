@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from rich.console import Console
 
@@ -16,7 +17,7 @@ from flexjoint.report.terminal import show
 
 def run(arguments: argparse.Namespace) -> None:
     """The command. Raises FlexJointError on unusable input."""
-    Asked(json=arguments.json).check()
+    Asked(json=arguments.json).check([arguments.recording, Path(arguments.robot)])
     robot = load_chosen(arguments)
     table = read(arguments.recording, mapping_of(arguments), robot).recording
     check(robot, table)

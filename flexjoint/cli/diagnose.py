@@ -10,6 +10,7 @@ from rich.console import Console
 
 from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import Asked, page
+from flexjoint.core.messages import escaped
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import cause, listed, percent
@@ -55,8 +56,8 @@ def written(diagnosis: Diagnosis, asked: Asked, least: float) -> Iterator[str]:
     for path in asked.paths():
         if path == asked.model and left:
             yield (
-                f"wrote {path} without {names}, less likely than {percent(least)}; --all-causes puts"
-                f" {'it' if len(left) == 1 else 'them'} in"
+                f"wrote {escaped(str(path))} without {names}, less likely than {percent(least)}; --all-causes"
+                f" puts {'it' if len(left) == 1 else 'them'} in"
             )
         else:
-            yield f"wrote {path}"
+            yield f"wrote {escaped(str(path))}"

@@ -7,43 +7,48 @@ standard error. What a command needs is imported when it runs.
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
-import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from flexjoint.cli import options, view
+from flexjoint.cli import options, streams, view
 from flexjoint.cli.paper import command as paper
 from flexjoint.core.errors import FlexJointError
 
 UNUSABLE = 2
 INTERRUPTED = 130
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # what an output that takes no more says
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code (`--help` and wrong usage exit by themselves)."""
-    arguments = _parser().parse_args(argv)
-    try:
-        arguments.run(arguments)
-        sys.stdout.flush()
-    except FlexJointError as error:
-        return _say(str(error), UNUSABLE)
-    except BrokenPipeError:  # whoever read the output has enough of it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        if error.filename is None:
-            raise
-        return _say(f"{error.filename}: {error.strerror}", UNUSABLE)
-    except KeyboardInterrupt:
-        return _say("interrupted", INTERRUPTED)
+    with streams.plain():
+        arguments = _parser().parse_args(argv)
+        try:
+            arguments.run(arguments)
+            sys.stdout.flush()
+        except FlexJointError as error:
+            return _say(error, UNUSABLE)
+        except BrokenPipeError:  # whoever read the output has enough of it
+            streams.abandon_output()
+            return 0
+        except OSError as error:
+            if error.filename is None and error.errno not in FULL:
+                raise
+            streams.abandon_output()
+            return _say(f"{error.filename or 'output'}: {error.strerror}", UNUSABLE)
+        except MemoryError:
+            return _say("memory is short; give less at once, or cut the recording", UNUSABLE)
+        except KeyboardInterrupt:
+            return _say("interrupted", INTERRUPTED)
     return 0
 
 
-def _say(message: str, code: int) -> int:
-    print(f"flexjoint: {' '.join(message.split())}", file=sys.stderr)
+def _say(message: object, code: int) -> int:
+    streams.say(message)
     return code
 
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from pathlib import Path
 
 from flexjoint.cli.options import load_chosen
 from flexjoint.cli.outputs import check_place
+from flexjoint.core.messages import escaped
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as recording
 from flexjoint.recording.checks import check_joints
@@ -20,22 +18,11 @@ from flexjoint.simulation.simulate import simulate
 
 def run(arguments: argparse.Namespace) -> None:
     """The command. Raises FlexJointError on unusable input, before anything is written."""
-    check_place(arguments.out, (".csv", ".parquet"), [arguments.reference])
+    check_place(arguments.out, (".csv", ".parquet"), [arguments.reference, Path(arguments.robot)])
     robot = load_chosen(arguments)
     reference = recording.read(arguments.reference)
     check_joints(robot, reference)
     how = RunOptions(scheme=arguments.scheme or DEFAULT, width=arguments.width, engine=arguments.engine)
-    with plain_warnings():
-        result = simulate(FlexibleJointModel(robot), reference, how).measured
+    result = simulate(FlexibleJointModel(robot), reference, how).measured
     result.write(arguments.out)
-    print(f"wrote {arguments.out}: {result.duration:.4g} s of {', '.join(result.joints)}")
-
-
-@contextmanager
-def plain_warnings() -> Iterator[None]:
-    """Warnings as one line on standard error, without the place in the code."""
-    with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_rest: print(
-            f"flexjoint: warning: {message}", file=sys.stderr
-        )
-        yield
+    print(f"wrote {escaped(str(arguments.out))}: {result.duration:.4g} s of {', '.join(result.joints)}")

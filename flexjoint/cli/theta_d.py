@@ -17,10 +17,13 @@ from flexjoint.cli import options
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import RecordingError, RobotError, unknown
 from flexjoint.core.files import write_bytes
+from flexjoint.core.limits import RECORDING
+from flexjoint.core.messages import escaped, shown
 from flexjoint.core.units import of_joint
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.statics.equilibrium import Equilibrium, equilibrium
 from flexjoint.model.statics.forces import Contact
+from flexjoint.recording.table import read_csv, read_parquet
 from flexjoint.robot.robot import Robot
 
 SUFFIXES = (".csv", ".parquet")
@@ -39,7 +42,7 @@ class Poses:
 
 def run(arguments: argparse.Namespace) -> None:
     """The command; raises FlexJointError on unusable input, before anything is written."""
-    check_place(arguments.out, SUFFIXES, [arguments.poses])
+    check_place(arguments.out, SUFFIXES, [arguments.poses, Path(arguments.robot)])
     loaded = options.load_chosen(arguments)
     if loaded.floating and not arguments.contact:
         raise RobotError(f"{loaded.name} has a floating base: name what it stands on, e.g. --contact FRAME")
@@ -128,7 +131,7 @@ def report(rest: Equilibrium, loaded: Robot, out: Path) -> None:
     name = loaded.joint_names[int(k)]
     unit = of_joint("rad", name in loaded.prismatic)
     print(
-        f"wrote {out}: {len(rest.q)} poses of {len(loaded.joints)} joints; largest deflection"
+        f"wrote {escaped(str(out))}: {len(rest.q)} poses of {len(loaded.joints)} joints; largest deflection"
         f" {rest.deflection[pose, k]:.4g} {unit} ({name}, pose {pose})"
     )
     for violation in rest.violations[:SHOWN]:
@@ -143,9 +146,9 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise RecordingError(f"table of poses {path} does not exist; give a .csv or .parquet file")
     try:
         if path.suffix == ".parquet":
-            table = pa.parquet.read_table(path)
+            table = read_parquet(path)
         elif path.suffix == ".csv":
-            table = pa.csv.read_csv(path)
+            table = read_csv(path)
         else:
             raise RecordingError(
                 f"{path}: expected a .csv or .parquet file, got {path.suffix or 'no suffix'}"
@@ -155,6 +158,10 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise RecordingError(
             f"{path} cannot be read as {path.suffix[1:]}: {' '.join(str(error).split())[:200]}"
         ) from None
+    if table.num_rows > RECORDING.poses:
+        raise RecordingError(
+            f"{path} holds {table.num_rows} poses, expected at most {RECORDING.poses}; split the table"
+        )
     out: dict[str, np.ndarray] = {}
     for name in names:
         if names.count(name) > 1:
@@ -168,6 +175,9 @@ def _read(path: Path) -> dict[str, np.ndarray]:
             raise RecordingError(
                 f"{path}: column {name} has no number in row {wrong[0] + 1}; a pose needs all of its numbers"
             )
+        largest = float(np.max(np.abs(values), initial=0.0))
+        if largest > RECORDING.value:
+            raise RecordingError(f"{path}: column {shown(name)} reaches {largest:.3g}; no joint gets there")
         out[name] = values
     return out
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from flexjoint.cli import options
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.messages import escaped
 
 if TYPE_CHECKING:
     from flexjoint.recording.table import Recording
@@ -61,7 +62,7 @@ def run(arguments: argparse.Namespace) -> None:
     size = _size(arguments.size)
     for path, suffixes in ((arguments.html, (".html", ".htm")), (arguments.video, (".mp4", ".webm", ".mkv"))):
         if path is not None:
-            cli_outputs.check_place(path, suffixes, arguments.recordings)
+            cli_outputs.check_place(path, suffixes, [Path(arguments.robot), *arguments.recordings])
     if arguments.images is not None and arguments.images.exists() and not arguments.images.is_dir():
         raise FlexJointError(f"cannot write images into {arguments.images}: it is a file; give a folder")
     if arguments.images is not None or arguments.video is not None:
@@ -73,12 +74,13 @@ def run(arguments: argparse.Namespace) -> None:
     page = _page(arguments, options.load_chosen(arguments, actuated=False))
     if arguments.html is not None:
         page.write_html(arguments.html)
-        print(f"wrote {arguments.html}: {arguments.html.stat().st_size / 1e6:.1f} MB, opens offline")
+        megabytes = arguments.html.stat().st_size / 1e6
+        print(f"wrote {escaped(str(arguments.html))}: {megabytes:.1f} MB, opens offline")
     if arguments.images is not None:
         made = page.write_images(arguments.images, size)
-        print(f"wrote {len(made)} images: {made[0]} to {made[-1].name}")
+        print(f"wrote {len(made)} images: {escaped(str(made[0]))} to {made[-1].name}")
     if arguments.video is not None:
-        print(f"wrote {page.write_video(arguments.video, size)}: {len(page.frames())} frames")
+        print(f"wrote {escaped(str(page.write_video(arguments.video, size)))}: {len(page.frames())} frames")
     if arguments.html is None and arguments.images is None and arguments.video is None:
         _show(page)
 

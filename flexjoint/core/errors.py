@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+from flexjoint.core.messages import LONGEST_MESSAGE, cut, escaped, shown
+
 
 class FlexJointError(ValueError):
-    """Base of every error that a user's input can cause; the command line prints it as one line."""
+    """Base of every error that a user's input can cause; the command line prints it as one line.
+
+    What a message quotes out of files is bounded here: control characters are escaped, and of a message of
+    more than 2000 characters the middle is left out.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(cut(escaped(str(message), kept="\n"), LONGEST_MESSAGE))
 
 
 class RobotError(FlexJointError):
@@ -34,6 +43,10 @@ class StabilityWarning(UserWarning):
     """A scheme's step is too long for a spring; the message names the joint and a rate that would do."""
 
 
+class RobotWarning(UserWarning):
+    """A description holds what no body has, or what is not modelled; the message names it."""
+
+
 class MissingExtraError(FlexJointError):
     """An optional dependency is absent."""
 
@@ -46,4 +59,4 @@ def unknown(kind: str, name: object, valid: Iterable[object]) -> UnknownNameErro
     names = sorted(str(v) for v in valid)
     near = get_close_matches(str(name), names, n=1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
-    return UnknownNameError(f"unknown {kind} {name!r}{hint}; valid: {', '.join(names) or 'none'}")
+    return UnknownNameError(f"unknown {kind} '{shown(name)}'{hint}; valid: {', '.join(names) or 'none'}")

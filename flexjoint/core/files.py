@@ -1,4 +1,4 @@
-"""Writing files whole or not at all."""
+"""Files read within a size, and written whole or not at all."""
 
 from __future__ import annotations
 
@@ -12,6 +12,21 @@ from pathlib import Path
 from typing import Any
 
 from flexjoint.core.errors import FlexJointError
+
+PREFIX = 40  # characters of a name that its temporary file takes over: names have an end
+
+
+def read_text(path: Path, most: int) -> str:
+    """The text of a file of at most `most` bytes.
+
+    Raises as Path.read_text, and FlexJointError for a larger file, or a pipe or device, which has no end."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise FlexJointError(f"{path} is no file but a pipe or device; give a file")
+    with path.open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise FlexJointError(f"{path} has more than {most} bytes, the most that is read (docs/limits.md)")
+    return content.decode("utf-8-sig")
 
 
 def write_text(path: Path, text: str) -> None:
@@ -47,7 +62,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a file whole or not at all; raises FlexJointError when the place cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:PREFIX]}.")
     except OSError as error:
         raise FlexJointError(f"cannot write {path}: {error.strerror or error}") from None
     try:

@@ -13,12 +13,14 @@ import os
 import pickle
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from types import FrameType
 from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -94,12 +96,12 @@ class WorkerPool:
         for _ in range(count):
             here, there = context.Pipe()
             process = context.Process(target=self._serve, args=(there, here), daemon=True)
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), interrupts_held():
                 # other threads' locks do not concern a process that only computes and answers
                 warnings.simplefilter("ignore", DeprecationWarning)
                 process.start()
-            there.close()
-            self._others.append((process, here))
+                there.close()
+                self._others.append((process, here))
 
     def _serve(self, pipe: Connection, other_end: Connection) -> None:
         """Answer until nobody asks any more."""
@@ -127,6 +129,23 @@ class WorkerPool:
             process.join()
             pipe.close()
         self._others = []
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Ctrl-C takes effect on leaving: what is raised in Python's own hooks around a fork is printed and lost,
+    and the work would go on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    usual = signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    if came and callable(usual):
+        usual(*came[0])
 
 
 @contextmanager

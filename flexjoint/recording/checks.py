@@ -15,10 +15,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from flexjoint.core.errors import unknown
+from flexjoint.core.messages import shown
 from flexjoint.effects import Signals
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.clock import without_pauses
-from flexjoint.recording.messages import refusal, shown
+from flexjoint.recording.messages import refusal
 from flexjoint.recording.smooth import local_polynomial
 from flexjoint.recording.stamps import FASTEST_COUNTED, SLOWEST, UNITS
 from flexjoint.recording.table import Recording

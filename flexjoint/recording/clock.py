@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from flexjoint.core.limits import RECORDING
 from flexjoint.recording.messages import refusal
 from flexjoint.recording.stamps import pause_of
 from flexjoint.recording.table import Recording
@@ -23,7 +24,7 @@ REGULAR = 1e-3  # share of the period up to which a clock counts as regular alre
 POSITIONS = ("q", "theta")
 ENOUGH = 30  # samples whose neighbours are all there, for a verdict
 REACH = 10  # samples to either side, over which a speed is taken
-MOST_TICKS = 10  # of an even clock for each sample, beyond which a recording is more gaps than samples
+MOST_TICKS = RECORDING.ticks_per_row  # of an even clock for each sample
 SURE = 3.0  # standard errors by which the samples must say that they were not taken at their stamps
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.core.errors import RecordingError
+from flexjoint.core.limits import RECORDING
 from flexjoint.recording.messages import refusal
 
 Columns = Mapping[tuple[str, str], np.ndarray]
@@ -22,13 +23,14 @@ SLOWEST = 50.0  # Hz; below it neither springs nor controllers show
 FASTEST_COUNTED = 2e4  # Hz; no robot is logged faster: what divides microseconds from nanoseconds
 UNITS = {"nanoseconds": 1e-9, "microseconds": 1e-6, "milliseconds": 1e-3}
 EPOCH = (1e9, 4e9)  # s since 1970, of the years 2001 to 2096: a clock of a computer
-LATEST = 1e10  # s, beyond which no time lies; float64 resolves 2 us there
+LATEST = RECORDING.time  # s, beyond which no time lies
 PAUSE = 1.0  # s: whitening leaves a tail of half a second, so that two pieces do not see each other; or
 PAUSE_PERIODS = 10.0  # sampling periods, where those are longer
 PIECE = 50  # rows, as of a recording: fewer between two steps back are no piece of a recording
 EVEN = 0.35  # of a period by which a step may differ from it on an even clock with jitter (`clock.JITTER`)
 MOSTLY = 0.95  # share of even steps from which there is an even clock: one stamp in forty is wrong at most
-NEAR = 8  # rows on either side of a step that tell the clock's phase
+NEAR = 8  # rows after a step among which those that fit the clock again are looked for
+SURE = 5.0  # standard errors of a phase that changes: of jitter one step in a million shows as much
 FEW = 0.05  # share of rows up to which wrong stamps are exceptions, and can be repaired one by one
 MERGES = 64  # rows of one time that may complete each other: one of each channel
 BURSTS = 5  # stamps of arrival, at least, that make an even clock
@@ -274,9 +276,9 @@ def _off_clock(time: np.ndarray, wrong: np.ndarray) -> tuple[np.ndarray, np.ndar
     for k in (np.flatnonzero(short) + 1).tolist():
         if out[good[k]] or out[good[k - 1]]:
             continue
-        before, after = np.arange(max(0, k - NEAR), k), np.arange(k, min(t.size, k + NEAR))
-        late = float(np.median(t[after] - period * after) - np.median(t[before] - period * before))
-        if abs(late - (steps[k - 1] - period)) < 0.5 * EVEN * period and after.size == NEAR == before.size:
+        after = np.arange(k, min(t.size, k + NEAR))
+        late, error = _phase_step(t, k)
+        if abs(late - (steps[k - 1] - period)) < 0.5 * EVEN * period and abs(late) > SURE * error:
             slips.append(good[k])
             continue
         # of the two the one is wrong without which the steps are even, and with it what follows off the clock
@@ -291,6 +293,20 @@ def _off_clock(time: np.ndarray, wrong: np.ndarray) -> tuple[np.ndarray, np.ndar
                 break
             out[good[j]] = True
     return out, np.array(slips, dtype=int)
+
+
+def _phase_step(time: np.ndarray, k: int) -> tuple[float, float]:
+    """By how much an even clock's phase changes at stamp k [s], and the standard error of that: by regression
+    of the stamps around on their number and a step. Not known within a piece's length of either end."""
+    if k < PIECE or k + PIECE > time.size:
+        return 0.0, np.inf
+    near = np.arange(k - PIECE, k + PIECE)
+    terms = np.column_stack([np.ones(near.size), near - k, near >= k]).astype(float)
+    stamps = time[near] - time[k]
+    numbers = np.linalg.lstsq(terms, stamps, rcond=None)[0]
+    missed = stamps - terms @ numbers
+    variance = float(missed @ missed) / (near.size - terms.shape[1])
+    return float(numbers[2]), float(np.sqrt(variance * np.linalg.inv(terms.T @ terms)[2, 2]))
 
 
 def _without(rows: Stamped, wrong: np.ndarray) -> Stamped:

@@ -17,7 +17,9 @@ import pyarrow.parquet
 
 from flexjoint.core.errors import RecordingError, unknown
 from flexjoint.core.files import write_bytes
-from flexjoint.recording.messages import refusal, shown
+from flexjoint.core.limits import RECORDING
+from flexjoint.core.messages import shown
+from flexjoint.recording.messages import refusal
 from flexjoint.recording.stamps import repaired
 
 UNITS: Mapping[str, str] = MappingProxyType(
@@ -38,13 +40,13 @@ UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")  # what a simulation is compared on
-MINIMUM_SAMPLES = 50
+MINIMUM_SAMPLES = RECORDING.rows
 LEAST_PRESENT = 0.05  # of a column's rows
-LARGEST = 1e9  # in the unit of any channel: no sensor of a robot shows as much, and fourth powers stay finite
-MOST_COLUMNS = 2000  # the 13 channels of 150 joints
-MOST_CELLS = 100_000_000  # 0.8 GB as numbers: an hour of 27 columns at 1 kHz
-MOST_BYTES = 2_000_000_000  # of a CSV file, whose cells are not known before it is read
-LONGEST_HEADER = 200_000  # bytes of a CSV's first line: 2000 names of 100
+LARGEST = RECORDING.value  # in the unit of any channel
+MOST_COLUMNS = RECORDING.columns
+MOST_CELLS = RECORDING.cells
+MOST_BYTES = RECORDING.csv_bytes
+LONGEST_HEADER = RECORDING.header_bytes
 
 
 @dataclass(frozen=True)
@@ -206,9 +208,9 @@ def read(source: str | os.PathLike[str]) -> Recording:
         raise refusal(f"recording {path}", "is empty; expected a table with a time column", " ")
     try:
         if path.suffix == ".parquet":
-            table = _read_parquet(path)
+            table = read_parquet(path)
         elif path.suffix == ".csv":
-            table = _read_csv(path)
+            table = read_csv(path)
         else:
             raise refusal(path, f"expected a .csv or .parquet file, got {shown(path.suffix) or 'no suffix'}")
         names = table.column_names  # decoded here, so that a bad one is caught
@@ -218,13 +220,15 @@ def read(source: str | os.PathLike[str]) -> Recording:
     return _from_table(table, names, path)
 
 
-def _read_parquet(path: Path) -> pa.Table:
+def read_parquet(path: Path) -> pa.Table:
+    """A Parquet file whose size and columns are within the limits; raises RecordingError."""
     with pa.parquet.ParquetFile(path) as file:
         check_size(file.metadata.num_rows, file.metadata.num_columns, path)
         return file.read()
 
 
-def _read_csv(path: Path) -> pa.Table:
+def read_csv(path: Path) -> pa.Table:
+    """A CSV whose size and columns are within the limits; raises RecordingError."""
     if path.stat().st_size > MOST_BYTES:
         raise refusal(path, f"more than {MOST_BYTES:g} bytes; cut the recording, or write it as Parquet")
     with path.open("rb") as file:

@@ -4,33 +4,44 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-from collections.abc import Collection
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TypeVar
 from xml.etree import ElementTree
 
 import pinocchio as pin
 
+from flexjoint.core import native_output
 from flexjoint.core.errors import RobotError, unknown
+from flexjoint.core.messages import one_line
 from flexjoint.robot import ready_made
 from flexjoint.robot.numbers import floats
+from flexjoint.robot.reading import mjcf_checks, urdf_checks, xml_file
 from flexjoint.robot.schema import RobotFile
 
 KINDS = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}  # root element: key of the robot file
 NAMED = ("package://", ready_made.SCHEME)  # before what is no path
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
-PARSE_ERRORS = (ElementTree.ParseError, ValueError, RuntimeError, UnicodeDecodeError)
+PARSE_ERRORS = (ElementTree.ParseError, ValueError, RuntimeError, LookupError, OSError)
+SAID = 200  # characters of what a parser says
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
 class Description:
     """A description as it is used: `kind` urdf, mjcf or sdf, where it lies, and of a URDF the text, whose
-    continuous joints are unwrapped and whose sections that are left out are cut."""
+    continuous joints are unwrapped and whose sections that are left out are cut. `follows` are joints that
+    are tied to another one (mimic, equality), which is not modelled, and `odd` what else it holds that a user
+    should know."""
 
     kind: str
     path: Path
     text: str
     package_dirs: tuple[Path, ...]
+    follows: Mapping[str, str] = field(default_factory=dict)
+    odd: tuple[str, ...] = ()
 
 
 def is_one(source: str | os.PathLike[str]) -> bool:
@@ -46,9 +57,11 @@ def kind_of(source: str, path: Path) -> str:
     if not found.is_file():
         raise RobotError(f"{found} does not exist; give the path of a URDF, MJCF or SDF")
     try:
-        tag = ElementTree.fromstring(found.read_text(encoding="utf-8")).tag
+        tag = xml_file.read(found).tag
+    except RobotError:
+        raise
     except PARSE_ERRORS as error:
-        raise RobotError(f"{found} cannot be loaded: {' '.join(str(error).split())}") from None
+        raise RobotError(f"{found} cannot be loaded: {one_line(error, SAID)}") from None
     if tag not in KINDS:
         expected = ", ".join(f"<{known}>" for known in KINDS)
         raise RobotError(f"{found}: expected a URDF, MJCF or SDF, whose root is {expected}; got <{tag}>")
@@ -59,11 +72,7 @@ def has_free_joint(description: Description) -> bool:
     """Whether an MJCF's first body moves freely; other descriptions do not say."""
     if description.kind != "mjcf":
         return False
-    try:
-        built = pin.buildModelFromMJCF(str(description.path))
-    except PARSE_ERRORS as error:
-        raise _unreadable(description.kind, description.path, error) from None
-    return floats(built)
+    return floats(_parsed(description, lambda: pin.buildModelFromMJCF(str(description.path))))
 
 
 def example_robot_data() -> Path:
@@ -86,6 +95,8 @@ def find(file: RobotFile, path: Path) -> Path:
     if name.startswith("package://"):
         rest = name.removeprefix("package://")
         folders = package_dirs(file, path)
+        if leaves_package(name):
+            raise RobotError(f"{path}: {kind.upper()} {name!r} leaves its package; name a place below it")
         for folder in folders:
             if (folder / rest).is_file():
                 return folder / rest
@@ -116,8 +127,9 @@ def read(file: RobotFile, path: Path) -> Description:
     found = find(file, path)
     kind = file.description[0]
     try:
-        text = found.read_text(encoding="utf-8")
-        root = ElementTree.fromstring(text)
+        root = xml_file.read(found)
+    except RobotError:
+        raise
     except PARSE_ERRORS as error:
         raise _unreadable(kind, found, error) from None
     given = KINDS.get(root.tag, root.tag)
@@ -126,42 +138,66 @@ def read(file: RobotFile, path: Path) -> Description:
             f"{path}: `{kind}` names {found}, whose root element is <{root.tag}>"
             + (f"; call the key `{given}`" if given in KINDS.values() else f"; expected <{_tag(kind)}>")
         )
+    text, follows, odd = "", dict[str, str](), list[str]()
+    if kind == "mjcf":
+        follows, odd = mjcf_checks.check(root, f"MJCF {found}")
     if kind == "urdf":
+        follows, odd = urdf_checks.check(root, f"URDF {found}")
         text = _unwrap_continuous(root, file.continuous, path)
     elif file.continuous:
         raise RobotError(f"{path}: `continuous` needs a URDF; write the joints without limits in the {kind}")
-    return Description(kind, found, text, package_dirs(file, path))
+    return Description(kind, found, text, package_dirs(file, path), follows, tuple(odd))
+
+
+def leaves_package(name: str) -> bool:
+    """Whether a package:// name climbs out of the folder that it is looked up in."""
+    depth = 0
+    for part in PurePosixPath(name.removeprefix("package://").replace("\\", "/")).parts:
+        depth += {"..": -1, "/": 0}.get(part, 1)
+        if depth < 0:
+            return True
+    return False
 
 
 def model(description: Description, floating: bool) -> pin.Model:
     """The description as Pinocchio reads it, on a free-flyer where it floats; raises RobotError."""
     path = description.path
     root = pin.JointModelFreeFlyer() if floating else None
-    try:
-        if description.kind == "urdf":
-            text = description.text
-            return pin.buildModelFromXML(text, root) if root else pin.buildModelFromXML(text)
-        if description.kind == "mjcf":
-            built = pin.buildModelFromMJCF(str(path))
-            free = floats(built)
-            if free is not floating:
-                has, base = ("a", "floating") if free else ("no", "fixed, or give its first body a freejoint")
-                raise RobotError(f"MJCF {path} has {has} free joint; write base: {base}")
-            return built
-        if not pin.WITH_SDFORMAT:
-            raise RobotError(
-                f"SDF {path} cannot be read: this build of Pinocchio (pip's wheel is one) has no SDF parser;"
-                " convert it to URDF or MJCF, or install a Pinocchio that was built with sdformat"
-            )
-        return pin.buildModelsFromSdf(str(path), root_joint=root, geometry_types=[])[0]
-    except RobotError:
-        raise
-    except PARSE_ERRORS as error:
-        raise _unreadable(description.kind, path, error) from None
+    if description.kind == "urdf":
+        text = description.text
+        arguments = (text, root) if root else (text,)
+        return _parsed(description, lambda: pin.buildModelFromXML(*arguments))
+    if description.kind == "mjcf":
+        built = _parsed(description, lambda: pin.buildModelFromMJCF(str(path)))
+        free = floats(built)
+        if free is not floating:
+            has, base = ("a", "floating") if free else ("no", "fixed, or give its first body a freejoint")
+            raise RobotError(f"MJCF {path} has {has} free joint; write base: {base}")
+        return built
+    if not pin.WITH_SDFORMAT:
+        raise RobotError(
+            f"SDF {path} cannot be read: this build of Pinocchio (pip's wheel is one) has no SDF parser;"
+            " convert it to URDF or MJCF, or install a Pinocchio that was built with sdformat"
+        )
+    return _parsed(
+        description, lambda: pin.buildModelsFromSdf(str(path), root_joint=root, geometry_types=[])[0]
+    )
 
 
-def _unreadable(kind: str, path: Path, error: Exception) -> RobotError:
-    return RobotError(f"{kind.upper()} {path} cannot be loaded: {' '.join(str(error).split())}")
+def _parsed(description: Description, parse: Callable[[], Made]) -> Made:
+    """What a parser of Pinocchio makes; raises RobotError with what it said. Its own lines on standard error,
+    which only repeat that, are not shown."""
+    with native_output.held() as said:
+        try:
+            return parse()
+        except PARSE_ERRORS as error:
+            failure: Exception = error
+    reason = " ".join([native_output.message(failure), *native_output.errors(said)[:1]])
+    raise _unreadable(description.kind, description.path, reason)
+
+
+def _unreadable(kind: str, path: Path, error: object) -> RobotError:
+    return RobotError(f"{kind.upper()} {path} cannot be loaded: {one_line(error, SAID)}")
 
 
 def _tag(kind: str) -> str:

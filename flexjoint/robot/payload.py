@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from flexjoint.core.errors import RobotError, unknown
+from flexjoint.core.limits import DESCRIPTION
 from flexjoint.rigidbody.numeric import inertial_of
 from flexjoint.robot.robot import Robot
 
@@ -49,6 +50,8 @@ class KnownPayload:
             )
         if not all(map(math.isfinite, (self.mass, *self.position, *self.inertia))):
             raise RobotError(f"{where}: expected finite numbers, got {self}")
+        if max(map(abs, (self.mass, *self.position, *self.inertia))) > DESCRIPTION.number:
+            raise RobotError(f"{where}: expected numbers up to {DESCRIPTION.number:g}, got {self}")
         if self.mass <= 0.0:
             raise RobotError(f"{where}: expected a mass above 0 kg, got {self.mass:g}; give what was added")
         if np.min(np.linalg.eigvalsh(self._rotational())) < -1e-12:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,14 +14,18 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from flexjoint.core.errors import FlexJointError, RobotError, unknown
+from flexjoint.core.errors import FlexJointError, RobotError, RobotWarning, unknown
 from flexjoint.core.files import write_text
+from flexjoint.core.messages import shown
 from flexjoint.effects import Drive, Planned
 from flexjoint.robot import description as robot_description
 from flexjoint.robot import ready_made, schema
 from flexjoint.robot import sections as robot_sections
 from flexjoint.robot.contacts import GroundContact, joint_axis
 from flexjoint.robot.numbers import Numbers, as_file, floats, single_axis
+from flexjoint.robot.reading import yaml_file
+
+NEGLIGIBLE = 1e-9  # of the largest inertia: what rounding leaves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,7 +286,7 @@ def load(
         if path.name not in shipped:
             raise RobotError(f"no robot {str(source)!r}: give a YAML file or one of {', '.join(shipped)}")
         path = shipped[path.name]
-    raw = _read(path)
+    raw = yaml_file.read(path)
     file = schema.parse(raw, str(path))
     if preset is not None:
         file = schema.parse(robot_sections.with_preset(raw, preset, str(path)), str(path))
@@ -291,22 +296,6 @@ def load(
     if sections is not None:
         chosen["spawn"] = tuple(sections)
     return replace(build(file.model_copy(update=chosen), path), preset=preset)
-
-
-def _read(path: Path) -> Any:
-    """What stands in a YAML; raises RobotError where it cannot be read."""
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RobotError(f"robot file {path} does not exist; give the path of a robot YAML") from None
-    except IsADirectoryError:
-        raise RobotError(f"{path} is a folder; give the robot YAML inside it") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise RobotError(f"{path} cannot be read as text: {error}") from None
-    except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as error:
-        # PyYAML lets through what its constructors of numbers and dates stumble over
-        line = " ".join(str(error).split())
-        raise RobotError(f"{path} is not valid YAML: {line}") from None
 
 
 def expect(given: object, verb: str) -> Robot:
@@ -354,6 +343,10 @@ def _described(
     if base is None:
         base = "floating" if robot_description.has_free_joint(description) else "fixed"
     model = robot_description.model(description, base == "floating")
+    tied = _tied(model, description.follows, joints, source)
+    if tied:
+        model = pin.buildReducedModel(model, [model.getJointId(name) for name in tied], pin.neutral(model))
+        raw["lock"] = tied
     raw.update(as_file(path.stem, model, joints, drives, rates, tolerance), base=base)
     return build(schema.parse(raw, source), path)
 
@@ -371,6 +364,10 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
         file = file.model_copy(update={"base": "floating" if choice.floating else "fixed"})
         whole = robot_description.model(description, choice.floating)
     model = _lock(whole, file, known, path)
+    for line in description.odd:
+        warnings.warn(line, RobotWarning, stacklevel=2)
+    _check_followers(model, description.follows, where)
+    _check_inertia(model, where)
     joints = []
     for name, entry in file.joints.items():
         if name in file.lock:
@@ -402,6 +399,59 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
         contacts=_contacts(model, file, (whole_frames, known), where),
         ground=file.ground,
     )
+
+
+def _tied(
+    model: pin.Model, follows: Mapping[str, str], joints: Sequence[str] | None, where: str
+) -> list[str]:
+    """The joints of a description alone that follow others: they are held, with a warning."""
+    tied = [name for name in follows if model.existJointName(name)]
+    actuated = [name for name in tied if joints is not None and name in joints]
+    if actuated:
+        raise RobotError(
+            f"{where}: joint {_tie(actuated, follows)}, which is not modelled; do not actuate it"
+        )
+    if tied:
+        warnings.warn(
+            f"{where}: joint {_tie(tied, follows)}, which is not modelled: it is held at 0, mass kept",
+            RobotWarning,
+            stacklevel=3,
+        )
+    return tied
+
+
+def _tie(tied: Sequence[str], follows: Mapping[str, str]) -> str:
+    more = f" (and {len(tied) - 1} more follow others)" if len(tied) > 1 else ""
+    return f"{shown(tied[0])} follows {shown(follows[tied[0]])}{more} by a mimic or equality"
+
+
+def _check_followers(model: pin.Model, follows: Mapping[str, str], where: str) -> None:
+    """A joint that the description ties to another would swing freely."""
+    loose = [name for name in follows if model.existJointName(name)]
+    if loose:
+        raise RobotError(
+            f"{where}: joint {_tie(loose, follows)}, not modelled; list it under `lock`, or remove the"
+            " tie from the description"
+        )
+
+
+def _check_inertia(model: pin.Model, where: str) -> None:
+    """No joint may have a negative inertia: it would run away from every torque."""
+    own = np.array([*(body.inertia for body in model.inertias)])
+    if not (
+        np.all(np.isfinite(own)) and all(np.isfinite(p.homogeneous).all() for p in model.jointPlacements)
+    ):
+        raise RobotError(
+            f"{where}: the description gives places or inertias that are not finite; check its numbers"
+        )
+    inertia = pin.crba(model, model.createData(), pin.neutral(model))
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        least = float(np.min(np.diag(inertia)[joint.idx_v : joint.idx_v + joint.nv], initial=0.0))
+        if least < -NEGLIGIBLE * float(np.max(np.abs(inertia))):
+            raise RobotError(
+                f"{where}: joint {shown(name)} moves an inertia of {least:g}, which is negative; check the"
+                " masses and inertias of the links that it carries"
+            )
 
 
 def _contacts(

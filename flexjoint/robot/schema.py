@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections import Counter
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from flexjoint.core.errors import FlexJointError, RobotError, unknown
+from flexjoint.core.limits import ROBOT_FILE
+from flexjoint.core.messages import shown
+from flexjoint.robot.reading.yaml_file import check_values
 
 
 class Strict(BaseModel):
@@ -16,8 +20,8 @@ class Strict(BaseModel):
 class Rates(Strict):
     """Sampling rates [Hz]: f_s of the physics, f_c of the controller."""
 
-    physics: float = Field(1000.0, gt=0, le=1e6)
-    control: float = Field(1000.0, gt=0, le=1e6)
+    physics: float = Field(1000.0, ge=ROBOT_FILE.slowest_rate, le=ROBOT_FILE.fastest_rate)
+    control: float = Field(1000.0, ge=ROBOT_FILE.slowest_rate, le=ROBOT_FILE.fastest_rate)
 
 
 class Tolerance(Strict):
@@ -42,7 +46,7 @@ class JointEntry(Strict):
     gear_ratio: float | None = Field(None, gt=0)
     torque_constant: float | None = Field(None, gt=0)  # N m/A at the motor
     controller: dict[str, Any] | str | None = None
-    resolution: dict[str, float] = Field(default_factory=dict)
+    resolution: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
 
 
 class Section(Strict):
@@ -115,6 +119,7 @@ class RobotFile(Strict):
         return next((kind, name) for kind, name in given.items() if name is not None)
 
 
+POSITIVE = ("stiffness", "motor_inertia", "torque_limit", "gear_ratio", "torque_constant")
 _SINGLE: dict[str, type[Strict]] = {"rates": Rates, "tolerance": Tolerance}
 _NAMED: dict[str, type[Strict]] = {
     "joints": JointEntry,
@@ -131,6 +136,7 @@ def parse(raw: Any, where: str, described: bool = True) -> RobotFile:
     """
     if not isinstance(raw, dict):
         raise RobotError(f"{where}: expected a mapping with name, urdf and joints, got {type(raw).__name__}")
+    check_values(raw, where)
     try:
         file = RobotFile.model_validate(raw)
     except ValidationError as error:
@@ -139,12 +145,33 @@ def parse(raw: Any, where: str, described: bool = True) -> RobotFile:
     if described and len(given) != 1:
         came = " and ".join(given) or "none of them"
         raise RobotError(f"{where}: expected one of urdf, mjcf and sdf, the robot's description; got {came}")
+    _check_joints(file, where)
+    _check_lists(file, where)
+    return file
+
+
+def _check_joints(file: RobotFile, where: str) -> None:
     for name, joint in file.joints.items():
+        for key in POSITIVE:
+            number = getattr(joint, key)
+            if number is not None and 0.0 < number < ROBOT_FILE.positive:
+                raise RobotError(
+                    f"{where}: joints.{shown(name)}.{key}: {number:g} is below {ROBOT_FILE.positive:g}, the"
+                    " least that is read (docs/limits.md); check the unit"
+                )
         if joint.motor_inertia == 0.0 and joint.stiffness < float("inf"):
             raise RobotError(
                 f"{where}: joints.{name}: a motor behind a spring of {joint.stiffness:g} N m/rad needs its"
                 " inertia; give motor_inertia > 0 [kg m^2], or .inf as the stiffness of a rigid joint"
             )
+
+
+def _check_lists(file: RobotFile, where: str) -> None:
+    for key in ("lock", "continuous", "spawn"):
+        listed = getattr(file, key) or ()
+        for name, count in Counter(listed).items():
+            if count > 1:
+                raise RobotError(f"{where}: {key}: '{shown(name)}' is listed twice; keep one")
     for name, section in file.sections.items():
         if section.roots and section.parts:
             raise RobotError(f"{where}: section {name} has both roots and parts; keep one of them")
@@ -158,7 +185,6 @@ def parse(raw: Any, where: str, described: bool = True) -> RobotFile:
                 f"{where}: contacts: {contact.frame} rolls with {contact.rolls} and has no radius; give the"
                 " wheel's radius [m]"
             )
-    return file
 
 
 def _readable(error: ValidationError, raw: dict[str, Any], where: str) -> FlexJointError:
@@ -172,4 +198,4 @@ def _readable(error: ValidationError, raw: dict[str, Any], where: str) -> FlexJo
         return RobotError(f"{where}{inside}: {unknown('key', path[-1], kind.model_fields)}")
     if first["type"] == "missing":
         return RobotError(f"{where}: {'.'.join(path)} is missing; every robot needs it")
-    return RobotError(f"{where}: {'.'.join(path)}: {first['msg']}, got {first.get('input')!r}")
+    return RobotError(f"{where}: {'.'.join(path)}: {first['msg']}, got {shown(repr(first.get('input')))}")

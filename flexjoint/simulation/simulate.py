@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from flexjoint.core.errors import RecordingError, SimulationError
+from flexjoint.core.limits import SIMULATION
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.statics.equilibrium import equilibrium
 from flexjoint.model.statics.start import at_rest, initial_positions
@@ -67,6 +68,13 @@ def simulate(
     rate = options.rate_for(model.robot)
     stride = _stride(rate, sample_rate)
     names = model.robot.joint_names
+    size = reference.duration * rate * len(names)
+    if size > SIMULATION.joint_steps:
+        raise SimulationError(
+            f"{reference.name}: {reference.duration:.4g} s of {len(names)} joints at {rate:g} Hz are"
+            f" {size:.2g} steps, at most {SIMULATION.joint_steps:g} are run; cut it at its pauses, or lower"
+            " rates.physics"
+        )
     controller = drive == "controller" or (drive == "auto" and _has_references(reference, names))
     start = start or _rest(model, reference, controller)
     if controller:

@@ -17,6 +17,7 @@ from support.pages import DOCS, ROOT, blocks
 import flexjoint.diagnosis.pipeline
 import flexjoint.effects
 from flexjoint.cli.effects import markdown
+from flexjoint.core.limits import limits_page
 from flexjoint.diagnosis.result import Diagnosis, Finding
 from flexjoint.diagnosis.settings import settings_page
 from flexjoint.effects import catalogue, effect
@@ -40,6 +41,10 @@ def test_the_page_of_effects_is_fresh() -> None:
 
 def test_the_page_of_settings_is_fresh() -> None:
     assert (DOCS / "settings.md").read_text(encoding="utf-8") == settings_page(), "run: make docs"
+
+
+def test_the_page_of_limits_is_fresh() -> None:
+    assert (DOCS / "limits.md").read_text(encoding="utf-8") == limits_page(), "run: make docs"
 
 
 def test_the_table_of_packages_is_fresh() -> None:

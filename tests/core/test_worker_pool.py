@@ -111,3 +111,23 @@ def test_linear_algebra_takes_one_thread_whatever_the_environment_says() -> None
         outside = [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
         assert outside and set(outside) == {2}
         assert set(threads()) == {1}
+
+
+def test_an_interrupt_during_a_fork_is_not_lost() -> None:
+    """Python prints what its hooks around a fork raise, and goes on."""
+    armed = [True]
+
+    def interrupt() -> None:
+        if armed and armed.pop():
+            os.kill(os.getpid(), signal.SIGINT)
+            sum(range(1000))  # the interpreter looks at signals between instructions
+
+    os.register_at_fork(after_in_parent=interrupt)
+    made = WorkerPool([])
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            made.fork(1)
+        assert made.size == 2  # known, so that it is dismissed
+    finally:
+        made.dismiss()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

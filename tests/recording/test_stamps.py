@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexjoint.core.errors import FlexJointError, RecordingError
+from flexjoint.core.messages import LONGEST_LINE
 from flexjoint.recording import table as recording
 from flexjoint.recording.clock import without_pauses
-from flexjoint.recording.messages import LONGEST_LINE
 from flexjoint.recording.stamps import PAUSE
 from flexjoint.recording.table import Recording, make
 

@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.robot_files import MJCF, file
+from support.robot_files import MJCF, URDF, file
 
 from flexjoint.cli.main import main
-from flexjoint.core.errors import FlexJointError, RobotError
+from flexjoint.core.errors import FlexJointError, RobotError, RobotWarning
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as recording
 from flexjoint.report import view
 from flexjoint.report.view import browser, geometry, layers, meshes, motion
 from flexjoint.robot import robot
+from flexjoint.robot.robot import Robot
 from flexjoint.simulation.simulate import simulate
 
 LIMIT = 8e6  # bytes of a page that can be sent
@@ -355,3 +356,41 @@ def test_without_a_browser_pictures_are_refused_with_the_remedy(
         browser.find()
     assert main(["view", "--robot", "rrbot", "--images", str(tmp_path / "pictures")]) == 2
     assert "no browser found, looked for chromium" in capsys.readouterr().err
+
+
+# --- meshes that lie ------------------------------------------------------------------------------------
+def with_mesh(folder: Path, name: str, content: bytes = b"", looks: str = "") -> Robot:
+    """The arm with a mesh, or another geometry, as the looks of its first link."""
+    (folder / Path(name).name).write_bytes(content)
+    shape = looks or f'<mesh filename="{name}"/>'
+    link = f'<link name="upper"><visual><geometry>{shape}</geometry></visual>'
+    path = file(folder, lock=["wrist"])
+    (folder / "arm2.urdf").write_text(URDF.replace('<link name="upper">', link))
+    return robot.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("m.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "m.obj holds numbers that are not finite"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 99\n", r"cannot be read: .*vertex index out of range"),
+        ("m.stl", b"x" * 80 + b"\xff\xff\xff\xff", r"a mesh of .* cannot be read"),
+        ("m.stl", b"", "File is empty"),
+        ("package://../../m.stl", b"", r"mesh package://\.\./\.\./m\.stl leaves its package"),
+    ],
+)
+def test_a_mesh_that_lies_is_refused(
+    tmp_path: Path, name: str, content: bytes, said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    loaded = with_mesh(tmp_path, name, content)
+    with pytest.raises(RobotError, match=said):
+        geometry.shapes(loaded)
+    assert "Error" not in capfd.readouterr().err
+
+
+def test_a_geometry_that_is_not_shown_is_named(tmp_path: Path) -> None:
+    loaded = with_mesh(tmp_path, "m", looks="<sphere/>")
+    with pytest.warns(
+        RobotWarning, match="not all of its geometry is shown: Sphere shape must have a radius"
+    ):
+        geometry.shapes(loaded)

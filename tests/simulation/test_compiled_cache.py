@@ -7,6 +7,8 @@ import logging
 import os
 import subprocess
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,8 @@ from flexjoint.simulation.compiled import cache, compiler
 SOURCE = '__attribute__((visibility("default"))) int answer(void) { return 42; }\n'
 BUILD = f"""
 import sys
+import time
+from dataclasses import replace
 from flexjoint.simulation.compiled import cache, compiler
 sys.stdin.read(1)  # all start together
 print(cache.library({SOURCE!r} + "/* long enough to overlap */\\n" * 20000, compiler.compilers()[0]))
@@ -133,3 +137,72 @@ def test_the_cache_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch, folde
         paths.append(cache.library(SOURCE + " " * k, one))
         os.utime(paths[-1], (1e9 + k, 1e9 + k))
     assert set(folder.glob("*.so")) == set(paths[1:])
+
+
+@pytest.mark.parametrize("left", [0, 100, 4096, -1])
+def test_a_damaged_library_is_built_anew(left: int) -> None:
+    """One that was cut would end the process where it is loaded (SIGBUS)."""
+    one = compiler.compilers()[0]
+    path = cache.library(SOURCE, one)
+    content = path.read_bytes()
+    path.write_bytes(content[:left])
+    assert answer(cache.library(SOURCE, one)) == 42
+    assert list(path.parent.iterdir()) == [path] and path.read_bytes() == content
+
+
+@pytest.mark.parametrize("why", ["read-only", "full", "fails"])
+def test_a_cache_that_cannot_be_written_is_done_without(
+    why: str, folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    cache._say_once.cache_clear()
+    there = cache.cache_folder()
+    if why == "fails":  # as a file system does that is mounted read-only
+
+        def refuse(*_: object, dir: Path, prefix: str) -> object:
+            if Path(dir) == there:
+                raise OSError(30, "Read-only file system")
+            return made(dir=dir, prefix=prefix)
+
+        made = cache.tempfile.TemporaryDirectory
+        monkeypatch.setattr(cache.tempfile, "TemporaryDirectory", refuse)
+        cache._temporary.cache_clear()
+        kept = made(prefix="flexjoint.")
+        monkeypatch.setattr(cache, "_temporary", lambda: kept)
+    else:
+        usual = cache._unwritable
+        monkeypatch.setattr(cache, "_unwritable", lambda place: why if place == there else usual(place))
+    with caplog.at_level(logging.WARNING, "flexjoint"):
+        paths = [cache.library(SOURCE, compiler.compilers()[0]) for _ in range(2)]
+    assert paths[0] == paths[1] and folder not in paths[0].parents and answer(paths[0]) == 42
+    assert len(caplog.records) == 1 and "cannot be written" in caplog.text
+
+
+def test_a_compiler_that_hangs_is_ended_with_what_it_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    mark = tmp_path / "child"
+    script = tmp_path / "cc"
+    script.write_text(f"#!/bin/sh\nsleep 60 & echo $! > {mark}\nwait\n")
+    script.chmod(0o700)
+    monkeypatch.setattr(compiler, "COMPILING", replace(compiler.COMPILING, note=0.3, longest=0.6))
+    hangs = compiler.Compiler("slowcc", (str(script),), "slow")
+    begin = time.monotonic()
+    with (
+        caplog.at_level(logging.WARNING, "flexjoint"),
+        pytest.raises(compiler.CompilerError, match=r"slowcc did not compile a model in 0\.6 s; try another"),
+    ):
+        cache.library(SOURCE, hangs)
+    assert time.monotonic() - begin < 10.0
+    assert "slowcc compiles a model; waiting for at most 0.6 s" in caplog.text
+    status = Path(f"/proc/{mark.read_text().strip()}/stat")
+    assert not status.exists() or status.read_text().rpartition(")")[2].split()[0] in "ZX"
+
+
+def test_builds_that_were_killed_are_removed(folder: Path) -> None:
+    cache.cache_folder()
+    for name, age in (("build.old", 2 * 3600), ("build.new", 0)):
+        (folder / name).mkdir()
+        (folder / name / "program.c").write_text("")
+        os.utime(folder / name, (time.time() - age,) * 2)
+    cache.library(SOURCE, compiler.compilers()[0])
+    assert not (folder / "build.old").exists() and (folder / "build.new").exists()

@@ -132,6 +132,11 @@ def compared(
 ) -> Comparison:
     """`compare`, of a recording that is on its regular clock already, as that of `Readings` is."""
     begin, period = recording.time[0], recording.period
+    if 0.0 < horizon < period:
+        raise RecordingError(
+            f"{recording.name}: a window of {horizon:g} s is shorter than its period, {period:.3g} s;"
+            " give a horizon of several periods"
+        )
     windows = int(np.floor((recording.duration + period) / horizon + 1e-6)) if horizon > 0 else 0
     if windows < 1:
         raise RecordingError(

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.limits import PLANNING
 from flexjoint.core.units import of_joint
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
@@ -59,6 +60,10 @@ def limits_of(
     for name, value in (("reach", reach), ("speed", speed)):
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise FlexJointError(f"{name} must be a positive number, got {value:g}")
+        if value is not None and not PLANNING.least <= value <= PLANNING.most:
+            raise FlexJointError(
+                f"{name} must be from {PLANNING.least:g} to {PLANNING.most:g}, got {value:g}; give rad, rad/s"
+            )
     rows = []
     for joint in robot.joints:
         low, high = (float(limit[joint.idx_q]) for limit in _positions(robot))

@@ -7,9 +7,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from flexjoint.core.errors import FlexJointError, unknown
+from flexjoint.core.files import read_text
+from flexjoint.core.limits import DIAGNOSIS_FILE, RECORDING
 from flexjoint.diagnosis.experiment.evidence import Key, Sensors
 from flexjoint.diagnosis.result import Diagnosis, to_json
 from flexjoint.effects import Planned, catalogue
@@ -78,7 +80,13 @@ def read(path: Path, robot: Robot) -> Question:
     Raises FlexJointError: not such a file, or one of another robot or another version of the catalogue.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path, DIAGNOSIS_FILE.file_bytes), parse_constant=_no_number)
+    except FlexJointError:
+        raise
+    except RecursionError:
+        raise FlexJointError(
+            f"{path} is nested too deeply; give what `flexjoint diagnose --json` wrote"
+        ) from None
     except OSError as error:
         raise FlexJointError(f"diagnosis {path} cannot be read: {error.strerror or error}") from None
     except (UnicodeDecodeError, ValueError) as error:
@@ -93,13 +101,19 @@ def read(path: Path, robot: Robot) -> Question:
         return _question(content, robot)
     except FlexJointError as error:
         raise FlexJointError(f"{path}: {error}") from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise FlexJointError(f"{path} is not as docs/formats.md has it ({error!r}); diagnose anew") from None
+
+
+def _no_number(word: str) -> NoReturn:
+    raise ValueError(f"{word} is no number of JSON")
 
 
 def _question(content: Mapping[str, Any], robot: Robot) -> Question:
     if content.get("verdict") == "refused":
         return without_diagnosis(robot)
+    if len(content["findings"]) > DIAGNOSIS_FILE.findings:
+        raise FlexJointError(f"more than {DIAGNOSIS_FILE.findings} causes; diagnose anew")
     findings = [(entry, _planned(robot, entry)) for entry in content["findings"]]
     ties = []
     for entry, truth in findings:
@@ -149,7 +163,7 @@ def _sensors(content: Mapping[str, Any], robot: Robot) -> Sensors:
     for name, value in floor.items():
         channel, _, joint = name.partition(".")
         if channel in MEASURED and joint in robot.joint_names:
-            known = value is not None and float(value) > 0.0
+            known = value is not None and 0.0 < float(value) < RECORDING.value
             noise[channel, joint] = float(value) if known else usual_noise(robot, channel, joint)
     return Sensors(noise) if noise else without_diagnosis(robot).sensors
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -10,9 +12,12 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from flexjoint.core.errors import RobotError
+from flexjoint.core import native_output
+from flexjoint.core.errors import RobotError, RobotWarning
+from flexjoint.core.messages import shown
 from flexjoint.report.view import meshes
 from flexjoint.report.view.meshes import Mesh
+from flexjoint.robot.description import Description, leaves_package
 from flexjoint.robot.robot import Robot
 
 Kind = Literal["visual", "collision", "sticks"]
@@ -50,28 +55,47 @@ def _described(robot: Robot, kind: Kind) -> tuple[Shape, ...]:
         return ()
     wanted = pin.VISUAL if kind == "visual" else pin.COLLISION
     folders = [str(folder) for folder in (*description.package_dirs, description.path.parent)]
+    _check_names(description)
     try:
-        if description.kind == "urdf":
-            loader = coal.CachedMeshLoader()
-            built = pin.buildGeomFromUrdfString(robot.model, description.text, wanted, None, folders, loader)
-        elif description.kind == "mjcf":
-            built = pin.buildGeomFromMJCF(robot.model, str(description.path), wanted)
-        else:
-            return ()
-    except (ValueError, RuntimeError) as error:
+        with native_output.held() as said:
+            if description.kind == "urdf":
+                loader = coal.CachedMeshLoader()
+                built = pin.buildGeomFromUrdfString(
+                    robot.model, description.text, wanted, None, folders, loader
+                )
+            elif description.kind == "mjcf":
+                built = pin.buildGeomFromMJCF(robot.model, str(description.path), wanted)
+            else:
+                return ()
+    except (ValueError, RuntimeError, LookupError) as error:
         raise RobotError(
-            f"{robot.name}: a mesh of {description.path} cannot be read: {' '.join(str(error).split())};"
-            " add its folder to package_dirs, or view the robot as sticks"
+            f"{robot.name}: a mesh of {description.path} cannot be read: {native_output.message(error)}; add"
+            " its folder to package_dirs, or view the robot as sticks"
         ) from None
+    for line in native_output.errors(said)[:1]:
+        warnings.warn(f"{robot.name}: not all of its geometry is shown: {line}", RobotWarning, stacklevel=2)
     known: dict[str, Mesh] = {}
     out = []
     for item in built.geometryObjects:
         mesh, scale = _mesh(item, known)
         if mesh is not None:
+            if not np.all(np.isfinite(mesh.vertices)):
+                raise RobotError(
+                    f"{robot.name}: mesh {shown(item.meshPath, 160)} holds numbers that are not finite"
+                )
             placement = item.placement.homogeneous @ np.diag([*scale, 1.0])
             colour = tuple(float(c) for c in item.meshColor[:3])
             out.append(Shape(int(item.parentJoint), placement, mesh, colour))  # type: ignore[arg-type]
     return tuple(out)
+
+
+def _check_names(description: Description) -> None:
+    """A page may be shared: nothing enters it from outside of a package that the description names."""
+    for name in re.findall(r"""filename\s*=\s*["']([^"']*)""", description.text):
+        if name.startswith("package://") and leaves_package(name):
+            raise RobotError(
+                f"{description.path}: mesh {shown(name, 100)} leaves its package; name a place below it"
+            )
 
 
 def _mesh(item: Any, known: dict[str, Mesh]) -> tuple[Mesh | None, Sequence[float]]:

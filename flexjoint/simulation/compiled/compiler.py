@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import logging
 import os
 import platform
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -15,6 +18,8 @@ from functools import cache
 from pathlib import Path
 
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.limits import COMPILING
+from flexjoint.core.messages import shown
 
 # -O1: straight-line code, on which -O3 gains nothing and takes longer. No contraction to fused
 # multiply-adds: results are those of the operations as written, on any machine. GCC clears the upper halves
@@ -30,7 +35,8 @@ FLAGS = (
     "-fPIC",
     "-shared",
 )
-TIMEOUT = 600.0  # seconds
+
+log = logging.getLogger("flexjoint")
 
 
 class CompilerError(FlexJointError):
@@ -48,16 +54,43 @@ class Compiler:
     def compile(self, source: Path, library: Path, further: Sequence[str] = ()) -> None:
         """Compile a C file to a shared library, with further flags; raises CompilerError with what the
         compiler said."""
-        command = [*self.command, *FLAGS, *further, str(source), "-o", str(library), "-lm"]
+        command = [*self.command, *FLAGS, *further, source.name, "-o", str(library), "-lm"]
         try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, timeout=TIMEOUT, check=False, cwd=source.parent
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
+            with subprocess.Popen(
+                command,
+                cwd=source.parent,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+                errors="replace",
+                start_new_session=True,  # so that it ends with all that it has started
+            ) as process:
+                try:
+                    said = self._waited(process)
+                except BaseException:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.killpg(process.pid, signal.SIGKILL)
+                    raise
+        except OSError as error:
             raise CompilerError(f"{self.name} cannot be run: {error}") from None
-        if done.returncode:
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            raise CompilerError(f"{self.name} failed with {done.returncode}: {last}")
+        if process.returncode:
+            last = (said.strip().splitlines() or ["no message"])[-1]
+            raise CompilerError(f"{self.name} failed with {process.returncode}: {shown(last, 200)}")
+
+    def _waited(self, process: subprocess.Popen[str]) -> str:
+        """What the compiler said on standard error; after a while a line says what is waited for."""
+        try:
+            return process.communicate(timeout=COMPILING.note)[1]
+        except subprocess.TimeoutExpired:
+            log.warning("%s compiles a model; waiting for at most %g s", self.name, COMPILING.longest)
+        try:
+            return process.communicate(timeout=COMPILING.longest - COMPILING.note)[1]
+        except subprocess.TimeoutExpired:
+            raise CompilerError(
+                f"{self.name} did not compile a model in {COMPILING.longest:g} s; try another one (CC=gcc),"
+                " or --engine pin"
+            ) from None
 
 
 def candidates() -> list[tuple[str, tuple[str, ...]]]:
@@ -95,5 +128,5 @@ def _identity(command: tuple[str, ...]) -> str | None:
 
 
 def _said(command: list[str]) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILING.asked, check=True)
     return done.stdout

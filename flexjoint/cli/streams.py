@@ -1,0 +1,41 @@
+"""Standard output and error as the commands use them: one line for a message, whatever it quotes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+
+from flexjoint.core.messages import one_line
+
+
+def say(message: object) -> None:
+    """One line on standard error, as far as there is one."""
+    with contextlib.suppress(OSError, ValueError):
+        print(f"flexjoint: {one_line(message)}", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def plain() -> Iterator[None]:
+    """Streams that take every character, and are there even where they were closed; warnings as one line on
+    standard error, without the place in the code."""
+    with contextlib.ExitStack() as stack:
+        for name in ("stdout", "stderr"):
+            stream = getattr(sys, name)
+            if stream is None:
+                stream = stack.enter_context(open(os.devnull, "w", encoding="utf-8"))
+                setattr(sys, name, stream)
+                stack.callback(setattr, sys, name, None)
+            elif hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="backslashreplace")
+        stack.enter_context(warnings.catch_warnings())
+        warnings.showwarning = lambda message, *_rest: say(f"warning: {message}")
+        yield
+
+
+def abandon_output() -> None:
+    """Send what is still to be printed nowhere: nobody reads it, or it cannot be written."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

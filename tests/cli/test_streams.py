@@ -1,0 +1,150 @@
+"""Outputs that take nothing, interrupts, and one result on every machine: in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from planting import Planted
+from planting.robots import robot_file
+from support.diagnose_cases import Case, as_recording
+
+from flexjoint.recording import table as recording
+from flexjoint.robot.robot import robots_folder
+
+FLEXJOINT = [sys.executable, "-m", "flexjoint"]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+LEVER = robot_file("lever")
+# s; half a second on an idle machine, four where eight processes share two cores; a diagnosis takes minutes
+LONGEST_END = 15.0
+KR300 = robots_folder() / "kr300"
+
+
+@pytest.fixture(scope="module")
+def lever(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of the robot `lever` with an offset of its motor's torque."""
+    path = tmp_path_factory.mktemp("lever") / "lever.parquet"
+    cause = Planted("torque_offset", "swing", {"offset": 1.0})
+    recording.write(as_recording(Case("lever", "rich", 5).with_causes(cause)), path)
+    return path
+
+
+def run(words: list[object], **how: object) -> subprocess.CompletedProcess[str]:
+    command = [*FLEXJOINT, *map(str, words)]
+    return subprocess.run(command, text=True, timeout=120, check=False, env=ENVIRONMENT, **how)  # type: ignore
+
+
+def test_a_full_output_is_one_line() -> None:
+    with open("/dev/full", "w") as full:
+        done = run(["effects"], stdout=full, stderr=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (2, "flexjoint: output: No space left on device\n")
+
+
+@pytest.mark.parametrize("closed", [1, 2])
+def test_a_closed_stream_is_no_matter(closed: int) -> None:
+    done = run(
+        ["effects"] if closed == 1 else ["robots", "--nonsense"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: os.close(closed),
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0 if closed == 1 else 2, "", "")
+
+
+def test_a_reader_that_has_enough_is_no_matter() -> None:
+    with subprocess.Popen(
+        [*FLEXJOINT, "effects"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
+
+
+def test_a_disk_that_is_full_leaves_no_half_file(tmp_path: Path, lever: Path) -> None:
+    def small() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    out = tmp_path / "out" / "run.csv"
+    done = run(
+        ["simulate", "--robot", LEVER, "--reference", lever, "--out", out, "--engine", "pin"],
+        capture_output=True,
+        preexec_fn=small,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"flexjoint: cannot write {out}: File too large\n"
+    assert not list(out.parent.iterdir())
+
+
+@pytest.mark.parametrize("name", ["run.csv", "x" * 240 + ".csv"])
+def test_any_name_that_the_disk_takes_can_be_written(tmp_path: Path, lever: Path, name: str) -> None:
+    done = run(
+        ["simulate", "--robot", LEVER, "--reference", lever, "--out", tmp_path / name, "--engine", "pin"],
+        capture_output=True,
+    )
+    assert done.returncode == 0 and (tmp_path / name).is_file(), done.stderr
+
+
+def test_an_interrupt_ends_all(tmp_path: Path) -> None:
+    """No worker is left, no file is half written, and the exit code is that of an interrupt."""
+    measured, out = KR300 / "recordings" / "rec_A.parquet", tmp_path / "d.json"
+    with subprocess.Popen(
+        [*FLEXJOINT, "diagnose", str(measured), "--robot", "kr300", "--json", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**ENVIRONMENT, "FLEXJOINT_WORKERS": "3"},
+        start_new_session=True,
+    ) as process:
+        workers = waited_for_workers(process.pid)
+        begin = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=20)
+        seconds = time.monotonic() - begin
+    assert process.returncode == 130 and err.splitlines()[-1] == "flexjoint: interrupted"
+    assert seconds < LONGEST_END
+    assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
+    assert not out.exists()
+
+
+def waited_for_workers(pid: int) -> list[int]:
+    """The processes that a process has forked, as soon as there are two."""
+    for _ in range(1200):
+        text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+        found = [int(word) for word in text.split()]
+        if len(found) >= 2:
+            return found
+        time.sleep(0.05)
+    raise AssertionError("no worker was started")
+
+
+def test_a_diagnosis_is_the_same_bit_by_bit(tmp_path: Path, lever: Path) -> None:
+    """For any number of workers, hash seed, locale and time zone."""
+    settings = [
+        {"FLEXJOINT_WORKERS": "1", "PYTHONHASHSEED": "0", "LC_ALL": "C", "TZ": "UTC"},
+        {"FLEXJOINT_WORKERS": "2", "PYTHONHASHSEED": "4242", "LC_ALL": "de_DE.UTF-8", "TZ": "Asia/Kolkata"},
+    ]
+    words = ["diagnose", lever, "--robot", LEVER, "--json", "d.json", "--model", "m.yaml", "--quiet"]
+    found = []
+    for k, setting in enumerate(settings):
+        folder = tmp_path / f"run{k}"
+        folder.mkdir()
+        done = subprocess.run(
+            [*FLEXJOINT, *map(str, words)],
+            cwd=folder,
+            env={**ENVIRONMENT, **setting},
+            capture_output=True,
+            timeout=120,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        model = (folder / "m.yaml").read_bytes()
+        found.append(((folder / "d.json").read_bytes(), model))
+    assert found[0] == found[1]
+    assert b'"findings": [' in found[0][0]

@@ -1,0 +1,162 @@
+"""Every reader with the bytes of good files changed: refused in words, or read; no traceback, no crash."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+import yaml
+from fuzz.hostile import fuzz, mutated, only_refusals
+from hypothesis import given
+from hypothesis import strategies as st
+from support import fake_diagnosis
+from support.robot_files import MJCF, URDF, content
+
+from flexjoint.cli import theta_d
+from flexjoint.core.errors import RobotWarning
+from flexjoint.diagnosis import experiment
+from flexjoint.recording import table as recording
+from flexjoint.recording.clock import on_regular_clock
+from flexjoint.robot import payload, robot
+from flexjoint.robot.robot import Robot
+
+YAML = yaml.safe_dump(content(lock=["wrist"], contacts=[], effects=[{"effect": "backlash", "joint": "elbow", "gap": 0.01}])).encode()  # fmt: skip  # noqa: E501
+TABLE = {
+    "time": np.arange(60) / 250.0,
+    "q.elbow": np.sin(np.arange(60) / 9.0),
+    "theta.elbow": np.sin(np.arange(60) / 9.0) + 0.01,
+    "tau_m.elbow": np.cos(np.arange(60) / 9.0),
+}
+CSV = "\n".join([",".join(TABLE), *(",".join(f"{x:.6g}" for x in row) for row in zip(*TABLE.values(), strict=True))]).encode()  # fmt: skip  # noqa: E501
+POSES = b"time,q.shoulder,q.elbow\n0,0.1,0.2\n1,-0.1,0.3\n2.5,0,1.4\n"
+DIAGNOSIS = b'{"schema": 1, "verdict": "causes", "findings": [{"effect": "backlash", "joint": "elbow", "parameters": {"gap": {"value": 0.01}}, "indistinguishable": [{"effect": "end_stop", "joint": "elbow"}]}], "comparison": {"noise_floor": {"rms": {"q.elbow": 0.0001}}}}'  # noqa: E501
+
+
+def parquet() -> bytes:
+    sink = io.BytesIO()
+    pa.parquet.write_table(pa.table(TABLE), sink)
+    return sink.getvalue()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("files")
+    (made / "arm2.urdf").write_text(URDF)
+    return made
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return fake_diagnosis.arm(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(autouse=True)
+def quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RobotWarning)
+        yield
+
+
+@fuzz(60)
+@given(data=mutated(YAML))
+def test_a_robot_file(folder: Path, data: bytes) -> None:
+    path = folder / "robot.yaml"
+    path.write_bytes(data)
+    with only_refusals():
+        robot.load(path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "good"), [("urdf", URDF), ("xml", MJCF.format(free=""))], ids=["urdf", "mjcf"]
+)
+@fuzz(100)
+@given(data=st.data())
+def test_a_description(folder: Path, suffix: str, good: str, data: st.DataObject) -> None:
+    path = folder / f"arm.{suffix}"
+    path.write_bytes(data.draw(mutated(good.encode())))
+    with only_refusals():
+        loaded = robot.load(path)
+        assert np.all(np.isfinite([body.mass for body in loaded.model.inertias]))
+        assert loaded.mass >= 0.0
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@fuzz(100)
+@given(data=st.data())
+def test_a_recording(folder: Path, suffix: str, data: st.DataObject) -> None:
+    path = folder / f"table.{suffix}"
+    path.write_bytes(data.draw(mutated(CSV if suffix == "csv" else parquet())))
+    with only_refusals():
+        read = on_regular_clock(recording.read(path))
+        assert np.all(np.diff(read.time) > 0.0) and not any(
+            np.any(np.isinf(v)) for v in read.columns.values()
+        )
+
+
+@fuzz(60)
+@given(data=mutated(POSES))
+def test_a_table_of_poses(folder: Path, arm: Robot, data: bytes) -> None:
+    path = folder / "poses.csv"
+    path.write_bytes(data)
+    with only_refusals():
+        assert np.all(np.isfinite(theta_d.read_poses(path, arm).q))
+
+
+@fuzz(60)
+@given(data=mutated(DIAGNOSIS))
+def test_a_diagnosis(folder: Path, arm: Robot, data: bytes) -> None:
+    path = folder / "diagnosis.json"
+    path.write_bytes(data)
+    with only_refusals():
+        experiment.read(path, arm)
+
+
+@fuzz(60)
+@given(text=mutated(b"a.csv:elbow=1.5,0,0,0.1").map(lambda data: data.decode("utf-8", "replace")))
+def test_a_known_payload(text: str) -> None:
+    with only_refusals():
+        payload.parse([text], ["a.csv"])
+
+
+@fuzz(100)
+@given(
+    steps=st.lists(
+        st.one_of(
+            st.sampled_from([0.001, 0.001, 0.001, 0.0, -0.001, 1e-9, 0.0004, 0.5, 2.0, 1e5, 1e9]),
+            st.floats(-0.01, 0.01),
+        ),
+        min_size=50,
+        max_size=150,
+    ),
+    unit=st.sampled_from([1.0, 1.0, 1e3, 1e6, 1e9]),
+    whole=st.booleans(),
+    start=st.sampled_from([0.0, 1.7e9, -5.0]),
+)
+def test_time_stamps(steps: list[float], unit: float, whole: bool, start: float) -> None:
+    """Whatever a logger stamped: refused, or made into times that increase, no work growing with them."""
+    time = (start + np.cumsum(steps)) * unit
+    if whole:
+        time = np.round(np.clip(time, -4e18, 4e18)).astype(np.int64)
+    with only_refusals():
+        read = on_regular_clock(recording.make(time, {("q", "elbow"): np.sin(np.arange(len(steps)) / 9.0)}))
+        assert np.all(np.diff(read.time) > 0.0) and np.all(np.isfinite(read.time))
+        assert read.duration <= 20.0 * len(steps) * max(read.period, 1.0)
+
+
+def test_what_was_changed_was_good(folder: Path, arm: Robot) -> None:
+    """Else the tests above would change what is refused anyway."""
+    (folder / "good.yaml").write_bytes(YAML)
+    assert robot.load(folder / "good.yaml").joint_names == ("shoulder", "elbow")
+    for name, data in (("good.csv", CSV), ("good.parquet", parquet())):
+        (folder / name).write_bytes(data)
+        assert recording.read(folder / name).joints == ("elbow",)
+    (folder / "good.json").write_bytes(DIAGNOSIS)
+    (folder / "poses.csv").write_bytes(POSES)
+    assert theta_d.read_poses(folder / "poses.csv", arm).q.shape == (3, 2)
+    assert len(experiment.read(folder / "good.json", arm).ties) == 1
