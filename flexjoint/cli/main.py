@@ -1,4 +1,4 @@
-"""The command line: `flexjoint diagnose | compare | simulate | plan | theta-d | view | paper | demo | ...`.
+"""The command line: `flexjoint diagnose | check-data | compare | simulate | plan | theta-d | view | ...`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. What a command needs is imported when it runs.
@@ -84,7 +84,21 @@ def _parser() -> argparse.ArgumentParser:
     diagnose.add_argument(
         "--no-refine", action="store_true", help="leave the numbers as the torque balances give them"
     )
+    diagnose.add_argument(
+        "--ignore-data-checks",
+        action="store_true",
+        help="go on with data whose signs, zeros, units or names cannot be right",
+    )
     diagnose.set_defaults(run=_lazily("diagnose"))
+
+    data = commands.add_parser("check-data", help="find wrong signs, zeros, units and names in a recording")
+    data.add_argument("recording", type=Path, metavar="REC", help="CSV or Parquet table")
+    options.add_robot(data)
+    data.add_argument(
+        "--out", type=Path, metavar="REC", help="write the repaired recording (.csv or .parquet)"
+    )
+    data.add_argument("--json", type=Path, metavar="OUT.json", help="write the findings as JSON")
+    data.set_defaults(run=_lazily("check_data"))
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
     compare.add_argument("recording", type=Path, metavar="REC", help="CSV or Parquet table")
