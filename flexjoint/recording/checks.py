@@ -293,14 +293,15 @@ def _beyond_limits(robot: Robot, recording: Recording, name: str) -> str | None:
 def _before_gear(
     robot: Robot, recording: Recording, name: str, channel: str, limits: tuple[float, float]
 ) -> bool:
-    """Whether a position may be the motor's before its gear: beside the link's, or within the limits then."""
+    """Whether a position may be the motor's before its gear: it is beside the link's; or it lies within the
+    limits then, and torques can tell."""
     if not channel.startswith("theta"):
         return False
     values = recording.get(channel, name)
     if recording.has("q", name):
         return _geared(robot, name, "q", channel, *_common(recording.get("q", name), values))
     gear = robot.joint(name).gear_ratio if name in robot.joint_names else None
-    if gear is None:
+    if gear is None or not any(recording.has(torque, name) for torque in TORQUES):
         return False
     low, high = np.nanpercentile(values, [1.0, 99.0]) / gear
     return bool(limits[0] < low and high < limits[1])

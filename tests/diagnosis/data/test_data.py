@@ -67,8 +67,9 @@ def test_a_load_that_is_there_stands_behind_the_torque_and_a_turned_torque_has_n
 
 
 def test_the_reach_is_that_of_the_stretched_arm() -> None:
-    # upper arm 0.425 m, forearm 0.392 m, wrist 0.109 + 0.095 + 0.082 m, and what lies beside these
-    assert 1.0 < reach(ur5()) < 1.4
+    # upper arm 0.425 m, forearm 0.392 m, wrist 0.109 + 0.095 + 0.082 m: no less, and with the offsets to the
+    # side (0.136 and 0.12 m) and a body's centre no more than half as much again
+    assert 1.1 < reach(ur5()) < 1.65
 
 
 def test_columns_are_repaired_together_and_noted() -> None:
