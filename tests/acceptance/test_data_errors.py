@@ -318,9 +318,10 @@ def test_shipped_robots_have_possible_bodies() -> None:
 # --- what a user meets ----------------------------------------------------------------------------------
 def test_a_diagnosis_ends_with_what_is_wrong_and_the_repair(tmp_path: Path) -> None:
     table = wrong(scaled("tau_motor", ELBOW))
+    diagnose = fj.diagnose  # imported here, and not in the time that is taken
     started = time.process_time()
-    diagnosis = fj.diagnose(ur5(), table)
-    assert time.process_time() - started < 2.0
+    diagnosis = diagnose(ur5(), table)
+    assert time.process_time() - started < 1.0
     assert diagnosis.verdict == "refused" and not diagnosis.findings
     assert diagnosis.reason.startswith(f"the data cannot be right: tau_motor.{ELBOW} has the wrong sign")
     said = str(diagnosis)
