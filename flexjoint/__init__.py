@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.design.tomei import tomei
     from flexjoint.design.verification import verify
     from flexjoint.diagnosis.comparison.compare import Comparison, compare
+    from flexjoint.diagnosis.data.check import DataCheck, check_data
     from flexjoint.diagnosis.experiment import Plan, plan
     from flexjoint.diagnosis.pipeline import diagnose
     from flexjoint.diagnosis.result import Diagnosis
@@ -44,6 +45,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
 
 __all__ = [
     "Comparison",
+    "DataCheck",
     "Diagnosis",
     "Effect",
     "FlexJointError",
@@ -55,6 +57,7 @@ __all__ = [
     "Robot",
     "Simulation",
     "catalogue",
+    "check_data",
     "compare",
     "diagnose",
     "effect",
@@ -81,6 +84,7 @@ __all__ = [
 
 _PLACES = {  # name: module and what it is called there
     "Comparison": ("diagnosis.comparison.compare", "Comparison"),
+    "DataCheck": ("diagnosis.data.check", "DataCheck"),
     "Diagnosis": ("diagnosis.result", "Diagnosis"),
     "Effect": ("effects", "Effect"),
     "FlexJointError": ("core.errors", "FlexJointError"),
@@ -92,6 +96,7 @@ _PLACES = {  # name: module and what it is called there
     "Robot": ("robot.robot", "Robot"),
     "Simulation": ("simulation.simulate", "Simulation"),
     "catalogue": ("effects", "catalogue"),
+    "check_data": ("diagnosis.data.check", "check_data"),
     "compare": ("diagnosis.comparison.compare", "compare"),
     "diagnose": ("diagnosis.pipeline", "diagnose"),
     "effect": ("effects", "effect"),

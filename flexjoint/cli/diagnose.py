@@ -34,7 +34,12 @@ def run(arguments: argparse.Namespace) -> None:
     with Progress() as bar:
         shown = no_progress if arguments.quiet else bar
         diagnosis = pipeline.diagnose(
-            nominal, recordings, progress=shown, payloads=payloads, refine=not arguments.no_refine
+            nominal,
+            recordings,
+            progress=shown,
+            payloads=payloads,
+            refine=not arguments.no_refine,
+            check_data=not arguments.ignore_data_checks,
         )
     html = None
     if asked.report is not None:  # its numbers are those of all causes that it names

@@ -1,4 +1,4 @@
-"""The command line: `flexjoint init | import | diagnose | compare | simulate | plan | view | demo | ...`.
+"""The command line: `flexjoint init | import | check-data | diagnose | compare | simulate | view | ...`.
 
 Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
 standard error. What a command needs is imported when it runs.
@@ -70,30 +70,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_init(commands)
     _add_import(commands)
 
-    diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
-    diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="table, or another log")
-    options.add_robot(diagnose)
-    options.add_mapping(diagnose)
-    diagnose.add_argument(
-        "--payload",
-        action="append",
-        default=[],
-        metavar="REC:JOINT=KG,X,Y,Z",
-        help="a known load in one of the recordings, its centre in the link frame [m]; may be repeated",
-    )
-    diagnose.add_argument("--json", type=Path, metavar="OUT.json", help="write the diagnosis as JSON")
-    diagnose.add_argument("--report", type=Path, metavar="OUT.html", help="write a page to read")
-    diagnose.add_argument("--model", type=Path, metavar="OUT.yaml", help="write the extended robot")
-    diagnose.add_argument(
-        "--all-causes",
-        action="store_true",
-        help="put causes below 50 %% probability into the extended robot, too",
-    )
-    diagnose.add_argument("--quiet", action="store_true", help="print nothing")
-    diagnose.add_argument(
-        "--no-refine", action="store_true", help="leave the numbers as the torque balances give them"
-    )
-    diagnose.set_defaults(run=_lazily("diagnose"))
+    _add_diagnose(commands)
+    _add_check_data(commands)
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
     compare.add_argument("recording", type=Path, metavar="REC", help="table, or another log")
@@ -138,6 +116,49 @@ def _parser() -> argparse.ArgumentParser:
 
     paper.add(commands)
     return parser
+
+
+def _add_diagnose(commands: Any) -> None:
+    diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
+    diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="table, or another log")
+    options.add_robot(diagnose)
+    options.add_mapping(diagnose)
+    diagnose.add_argument(
+        "--payload",
+        action="append",
+        default=[],
+        metavar="REC:JOINT=KG,X,Y,Z",
+        help="a known load in one of the recordings, its centre in the link frame [m]; may be repeated",
+    )
+    diagnose.add_argument("--json", type=Path, metavar="OUT.json", help="write the diagnosis as JSON")
+    diagnose.add_argument("--report", type=Path, metavar="OUT.html", help="write a page to read")
+    diagnose.add_argument("--model", type=Path, metavar="OUT.yaml", help="write the extended robot")
+    diagnose.add_argument(
+        "--all-causes",
+        action="store_true",
+        help="put causes below 50 %% probability into the extended robot, too",
+    )
+    diagnose.add_argument("--quiet", action="store_true", help="print nothing")
+    diagnose.add_argument(
+        "--no-refine", action="store_true", help="leave the numbers as the torque balances give them"
+    )
+    diagnose.add_argument(
+        "--ignore-data-checks",
+        action="store_true",
+        help="go on with data whose signs, zeros, units or names cannot be right",
+    )
+    diagnose.set_defaults(run=_lazily("diagnose"))
+
+
+def _add_check_data(commands: Any) -> None:
+    data = commands.add_parser("check-data", help="find wrong signs, zeros, units and names in a recording")
+    data.add_argument("recording", type=Path, metavar="REC", help="CSV or Parquet table")
+    options.add_robot(data)
+    data.add_argument(
+        "--out", type=Path, metavar="REC", help="write the repaired recording (.csv or .parquet)"
+    )
+    data.add_argument("--json", type=Path, metavar="OUT.json", help="write the findings as JSON")
+    data.set_defaults(run=_lazily("check_data"))
 
 
 def _add_init(commands: Any) -> None:

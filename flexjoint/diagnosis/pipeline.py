@@ -1,6 +1,6 @@
 """Diagnosis: what a simulation gets wrong, and why.
 
-recording -> readings -> motion -> balances -> whitening -> selection -> verdict
+recording -> are the data right? -> readings -> motion -> balances -> whitening -> selection -> verdict
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ import numpy as np
 from flexjoint.core.errors import RecordingError, unknown
 from flexjoint.core.worker_pool import one_thread, workers_of
 from flexjoint.diagnosis.balances.balances import Balances, TwinBalances, balances_of
+from flexjoint.diagnosis.data import check
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
-from flexjoint.diagnosis.result import Diagnosis, Finding, Remaining, Step, Unexplained
+from flexjoint.diagnosis.result import DataFinding, Diagnosis, Finding, Remaining, Step, Unexplained
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.robust_search import search_robustly
@@ -31,6 +32,7 @@ from flexjoint.diagnosis.verdict.residuals import explained_share, residual_view
 from flexjoint.diagnosis.verdict.review import notes, reviewed
 from flexjoint.diagnosis.verdict.unseen import remaining, unfinished
 from flexjoint.effects import catalogue
+from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording, expect_several
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
@@ -49,6 +51,7 @@ def diagnose(
     excluded: frozenset[str] = frozenset(),
     payloads: Sequence[KnownPayload | None] = (),
     refine: bool = True,
+    check_data: bool = True,
     workers: int | None = None,
     settings: Settings = USUAL,
 ) -> Diagnosis:
@@ -63,6 +66,8 @@ def diagnose(
         payloads: what was added to the robot in each recording and is known (None: nothing); empty: nothing
             in any. It is part of that recording's nominal model; the causes are common to all.
         refine: whether the numbers of the causes are refined on the simulation itself (one recording).
+        check_data: whether signs, zeros, units and names that cannot be right end the diagnosis (verdict
+            refused, `Diagnosis.data` says which); without, they are listed, and it goes on regardless.
         workers: processes that share the search, FLEXJOINT_WORKERS or one per core by default; the bits are
             the same for any number.
         settings: the numbers that decide (docs/settings.md).
@@ -73,11 +78,17 @@ def diagnose(
         UnknownNameError: an excluded name is no effect, or a payload's joint is none of the robot's.
     """
     task = _Task(excluded, workers_of(workers), settings, progress or (lambda _share, _what: None))
-    robots, recordings, cut = _checked(robot, recordings, excluded, payloads)
+    robots, recordings = _checked(robot, recordings, excluded, payloads)
+    data = _data_errors(robots, recordings, settings)
+    if data and check_data:
+        return _with_wrong_data(robots[0], data)
+    recordings, cut = excerpts(robots[0], recordings)
     task.report(0.0, "preparing the balances")
     refusal, balances = _balanced(robots[0], recordings[0], settings)
     if refusal:
-        return Diagnosis("refused", refusal, notes=cut, robot=robots[0].name, prismatic=robots[0].prismatic)
+        return Diagnosis(
+            "refused", refusal, notes=cut, robot=robots[0].name, prismatic=robots[0].prismatic, data=data
+        )
     problem = Problem(balances)
     candidates = enumerate_candidates(problem, excluded)
     first = _searched(problem, candidates, task.part(0, len(recordings)))
@@ -89,7 +100,7 @@ def diagnose(
     known = _known(recordings, payloads)
     checked = [notes(stated.trace[a:b]) for a, b in pairwise((0, len(first.trace), len(case.trace), None))]
     said = (*checked[0], *common, *cut, *known, *checked[1], *robust, *checked[2])
-    return _diagnosis(stated, candidates, said, task)
+    return replace(_diagnosis(stated, candidates, said, task), data=data)
 
 
 @dataclass(frozen=True)
@@ -112,13 +123,31 @@ def _checked(
     recordings: Recording | Sequence[Recording],
     excluded: frozenset[str],
     payloads: Sequence[KnownPayload | None],
-) -> tuple[list[Robot], list[Recording], tuple[str, ...]]:
-    """The nominal robot of each recording, the part of each that is examined, and notes on the rest."""
+) -> tuple[list[Robot], list[Recording]]:
+    """The nominal robot of each recording, and the recordings with the torques of their currents."""
     robot, recordings = expect(robot, "diagnose"), expect_several(recordings, "diagnose")
     _check_names(excluded)
     robots = _loaded(robot, recordings, payloads)
-    kept, cut = excerpts(robot, recordings)
-    return robots, kept, cut
+    return robots, [with_torques(robot, recording) for recording in recordings]
+
+
+def _data_errors(
+    robots: Sequence[Robot], recordings: Sequence[Recording], settings: Settings
+) -> tuple[DataFinding, ...]:
+    """What of the data cannot be right; what is wrong with the robot itself is said once."""
+    found: list[DataFinding] = []
+    for robot, recording in zip(robots, recordings, strict=True):
+        new = check.check_data(robot, recording, settings=settings.data).findings
+        found += [f for f in new if f.columns or all(f.text != other.text for other in found)]
+    return tuple(found)
+
+
+def _with_wrong_data(robot: Robot, data: tuple[DataFinding, ...]) -> Diagnosis:
+    """No verdict on the machine: any cause that is named would stand for the error of the data."""
+    more = f", and {len(data) - 1} more errors of the data" if len(data) > 1 else ""
+    reason = f"the data cannot be right: {data[0].text}{more}"
+    rigid = all(joint.rigid for joint in robot.joints)
+    return Diagnosis("refused", reason, robot=robot.name, prismatic=robot.prismatic, rigid=rigid, data=data)
 
 
 def _balanced(robot: Robot, recording: Recording, settings: Settings) -> tuple[str, TwinBalances]:

@@ -58,6 +58,87 @@ def _usable(value: Any, whole: bool) -> bool:
 
 
 @dataclass(frozen=True)
+class DataSettings(Stage):
+    """Data: whether signs, zeros, units and names are right, asked before any cause is blamed."""
+
+    instants: int = number(
+        300, "instants", "at which torques are compared: enough for any motion of some seconds", "judgement"
+    )
+    smoothing: float = number(
+        0.02, "s", "least standard deviation of the kernel that gives accelerations", "judgement"
+    )
+    gain_range: tuple[float, ...] = number(
+        (0.5, 2.0),
+        "gain of the measured torque",
+        "that is no error of the data: payloads, torque constants and inertias off by as much",
+        "judgement",
+    )
+    rival_gains: tuple[float, ...] = number(
+        (0.3, 3.0), "gain of the measured torque", "that a cause may have before data are blamed", "judgement"
+    )
+    wrong: float = number(
+        0.3,
+        "share of the torque (RMS)",
+        "that friction, load and inertia must leave unexplained before data are doubted",
+        "machine: most joints of KR300, TX40 and EMPS leave 0.06 to 0.27",
+    )
+    right: float = number(
+        0.25, "share of the torque (RMS)", "that may be left once the data are repaired", "judgement"
+    )
+    times_smaller: float = number(
+        4.0,
+        "factor (RMS)",
+        "by which a repair must shrink the torque balance of a joint: 16 times the variance",
+        "judgement",
+    )
+    times_rival: float = number(
+        2.0,
+        "factor (RMS)",
+        "by which it must be smaller than with any load, offset or spring instead",
+        "judgement",
+    )
+    alike: float = number(
+        1.3, "factor (RMS)", "within which two repairs are as good, and both are said", "judgement"
+    )
+    least_scale: float = number(
+        4.0, "factor", "from which a torque is in another unit and not just off", "judgement"
+    )
+    known_scale: float = number(
+        1.4, "factor", "within which a factor is a known one: gear ratio, torque constant, 1000", "judgement"
+    )
+    unknown_scale: float = number(
+        10.0, "factor", "from which one without a known reason is another unit", "judgement"
+    )
+    least_zero: float = number(
+        0.35, "rad", "least error of a position's zero that is one of the data: 20 degrees", "judgement"
+    )
+    round_zero: float = number(
+        0.07, "rad", "within which a zero is off by a whole eighth of a turn: 4 degrees", "judgement"
+    )
+    payload_mass: float = number(
+        1.0, "mass of the robot", "largest load that may stand behind a torque instead", "judgement"
+    )
+    sides_alike: float = number(
+        0.97, "correlation", "from which two encoders show the same motion", "judgement"
+    )
+    slope_one: float = number(
+        1.5, "factor", "within which one encoder moves as far as the other", "judgement"
+    )
+    slope_gear: float = number(
+        1.05, "factor", "within which a slope is the gear ratio: encoders are exact", "judgement"
+    )
+    deflected: float = number(
+        0.5, "rad", "by which a motor's travel must exceed its link's to be no deflection", "judgement"
+    )
+    rates_alike: float = number(
+        0.9, "correlation", "from which a velocity and a position show the same motion", "judgement"
+    )
+    gyration: float = number(
+        10.0, "reach of the robot", "largest radius of gyration that a body may have", "judgement"
+    )
+
+
+@dataclass(frozen=True)
 class SignalSettings(Stage):
     """Readings: one clock, one filter, predicted noise."""
 
@@ -784,6 +865,7 @@ class VerdictSettings(Stage):
 class Settings:
     """All numbers that decide in a diagnosis, stage by stage."""
 
+    data: DataSettings = DataSettings()
     signals: SignalSettings = SignalSettings()
     balances: BalanceSettings = BalanceSettings()
     regression: RegressionSettings = RegressionSettings()

@@ -32,6 +32,8 @@ NEAR = 1.6  # a ratio within this factor of 57.3 counts as 57.3: no physical eff
 ALIKE = 0.95  # correlation from which two columns are taken to show the same motion
 OFFSET = 0.3  # rad by which positions of one joint may differ (offsets, deflection, tracking error)
 OUTSIDE = 0.1  # share of a joint's range, and rad, beyond its limits that a recording may lie
+EXACT = 0.03  # share by which a slope may differ from a gear ratio, or from 57.3 where little deflects ...
+RIGID = 0.9995  # ... which this correlation of two encoders shows
 SPAN = 0.05  # s over which a velocity is integrated against a position
 POINTS = 800  # instants at which torques are compared
 ONE_SIGN = 0.02  # of its largest value, below which a torque has no sign
@@ -62,15 +64,16 @@ def check(robot: Robot, recording: Recording) -> None:
     _check_positions(robot, recording)
     check_rate(recording)
     recording = without_pauses(recording)
-    check_columns(recording)
+    check_columns(robot, recording)
     _compare_with_robot(robot, recording)
     check_signs(robot, recording)
 
 
-def check_columns(recording: Recording) -> None:
-    """Raise RecordingError where columns of one joint say of each other that one is off by 180/pi."""
+def check_columns(robot: Robot | None, recording: Recording) -> None:
+    """Raise RecordingError where columns of one joint say of each other that one is off by 180/pi. A robot
+    tells the gear ratios by which a motor's angle may be larger."""
     for joint in recording.joints:
-        _compare_positions(recording, joint)
+        _compare_positions(robot, recording, joint)
         _compare_velocities(recording, joint)
 
 
@@ -147,8 +150,8 @@ def keeps_one_sign(torque: np.ndarray) -> bool:
 
 
 # --- columns against each other ---------------------------------------------------------------------------
-def _compare_positions(recording: Recording, joint: str) -> None:
-    """Raise when one position of a joint is 57.3 times another of the same joint."""
+def _compare_positions(robot: Robot | None, recording: Recording, joint: str) -> None:
+    """Raise when one position of a joint is 57.3 times another of the same joint, by its unit."""
     there = [channel for channel in POSITIONS if recording.has(channel, joint)]
     large: list[str] = []
     small: list[str] = []
@@ -156,7 +159,9 @@ def _compare_positions(recording: Recording, joint: str) -> None:
     for one, other in itertools.permutations(there, 2):
         x, y = _common(recording.get(one, joint), recording.get(other, joint))
         found = _ratio(x, y)
-        if found is not None and abs(np.mean(y) / DEGREES - np.mean(x)) < OFFSET:
+        if found is None or _geared(robot, joint, one, other, x, y):
+            continue
+        if abs(np.mean(y) / DEGREES - np.mean(x)) < OFFSET:
             large, small, ratio = [*large, f"{other}.{joint}"], [*small, f"{one}.{joint}"], found
     if not large:
         return
@@ -166,6 +171,19 @@ def _compare_positions(recording: Recording, joint: str) -> None:
         f"{columns} is {ratio:.1f} times {others}: {columns} looks like degrees (or"
         f" {others} was converted to radians twice); {REMEDY}",
     )
+
+
+def _geared(robot: Robot | None, joint: str, one: str, other: str, x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether y is the motor's angle before its gear, and x that of the link, which is another error
+    (`flexjoint.diagnosis.data`): by the gear ratio, or as both agree to a factor that is none of a unit."""
+    if not (one.startswith("q") and other.startswith("theta")):
+        return False
+    slope = float(np.std(y) / np.std(x))
+    gear = robot.joint(joint).gear_ratio if robot is not None and joint in robot.joint_names else None
+    if gear is not None:
+        return abs(slope / gear - 1.0) < min(EXACT, abs(slope / DEGREES - 1.0))
+    alike = float(np.corrcoef(x, y)[0, 1])
+    return alike > RIGID and abs(slope / DEGREES - 1.0) > EXACT
 
 
 def _compare_velocities(recording: Recording, joint: str) -> None:
@@ -269,6 +287,8 @@ def _beyond_limits(robot: Robot, recording: Recording, name: str) -> str | None:
             continue
         seen = np.nanpercentile(recording.get(channel, name), [1.0, 99.0])
         outside = seen[0] < low - margin or seen[1] > high + margin
+        if _before_gear(robot, recording, name, channel, (low - margin, high + margin)):
+            continue  # another error: `flexjoint.diagnosis.data` tells
         scaled = seen / DEGREES
         if outside and low - margin < scaled[0] and scaled[1] < high + margin:
             return (
@@ -276,6 +296,23 @@ def _beyond_limits(robot: Robot, recording: Recording, name: str) -> str | None:
                 f" to {high:.4g} rad, and fits when divided by {DEGREES:.1f}: it looks like degrees"
             )
     return None
+
+
+def _before_gear(
+    robot: Robot, recording: Recording, name: str, channel: str, limits: tuple[float, float]
+) -> bool:
+    """Whether a position may be the motor's before its gear: it is beside the link's; or it lies within the
+    limits then, and torques can tell."""
+    if not channel.startswith("theta"):
+        return False
+    values = recording.get(channel, name)
+    if recording.has("q", name):
+        return _geared(robot, name, "q", channel, *_common(recording.get("q", name), values))
+    gear = robot.joint(name).gear_ratio if name in robot.joint_names else None
+    if gear is None or not any(recording.has(torque, name) for torque in TORQUES):
+        return False
+    low, high = np.nanpercentile(values, [1.0, 99.0]) / gear
+    return bool(limits[0] < low and high < limits[1])
 
 
 def _against_spring(joint: Joint, recording: Recording) -> str | None:

@@ -90,6 +90,8 @@ class Robot:
         torque_limit: Numbers | None = None,
         kp: Numbers | None = None,
         kd: Numbers | None = None,
+        gear_ratio: Numbers | None = None,
+        torque_constant: Numbers | None = None,
         rates: Mapping[str, float] | None = None,
         tolerance: Mapping[str, float] | None = None,
         effects: Iterable[Planned] = (),
@@ -106,6 +108,7 @@ class Robot:
             damping, motor_damping, kp, kd: default 0.
             motor_inertia: default 0, which only a rigid joint may have.
             torque_limit: default: none.
+            gear_ratio, torque_constant [N m/A at the motor]: default: none; of recordings of currents.
             rates: `physics` and `control` [Hz].
             tolerance: `inertial`, `stiffness`, `damping` and `torque`, see docs/formats.md.
             effects: that the model claims.
@@ -127,6 +130,8 @@ class Robot:
             "torque_limit": torque_limit,
             "kp": kp,
             "kd": kd,
+            "gear_ratio": gear_ratio,
+            "torque_constant": torque_constant,
         }
         title = name or str(model.name) or "robot"
         raw = as_file(title, model, joints, drives, rates, tolerance)
@@ -236,6 +241,8 @@ def load(
     torque_limit: Numbers | None = None,
     kp: Numbers | None = None,
     kd: Numbers | None = None,
+    gear_ratio: Numbers | None = None,
+    torque_constant: Numbers | None = None,
     rates: Mapping[str, float] | None = None,
     tolerance: Mapping[str, float] | None = None,
 ) -> Robot:
@@ -249,8 +256,9 @@ def load(
             What hangs on a section that is left out is left out too (`Robot.disabled`).
         preset: a set of numbers of the file; default: those under `joints`.
         grounded: fix a floating base.
-        joints, stiffness, damping, motor_inertia, motor_damping, torque_limit, kp, kd, rates, tolerance: of a
-            description, as in `Robot.from_model`; a robot file states its own. Joints are rigid by default.
+        joints, stiffness, damping, motor_inertia, motor_damping, torque_limit, kp, kd, gear_ratio,
+            torque_constant, rates, tolerance: of a description, as in `Robot.from_model`; a robot file states
+            its own. Joints are rigid by default.
         base: of a description; default: fixed, of an MJCF what its first body has.
 
     Raises RobotError or UnknownNameError with what was expected, what came and what to do.
@@ -263,6 +271,8 @@ def load(
         "torque_limit": torque_limit,
         "kp": kp,
         "kd": kd,
+        "gear_ratio": gear_ratio,
+        "torque_constant": torque_constant,
     }
     if not isinstance(source, str | os.PathLike):
         raise RobotError(f"load_robot: expected a path or a name, got {_kind(source)}; {_instead(source)}")

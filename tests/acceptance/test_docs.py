@@ -181,9 +181,36 @@ def test_the_simulation_page_names_every_scheme_and_law() -> None:
     assert [name for name in (*SCHEMES, *LAWS) if f"`{name}`" not in text] == []
 
 
+# --- rigid_robots.md --------------------------------------------------------------------------------------
+def test_the_page_of_rigid_robots_finds_what_its_log_holds() -> None:
+    (example,) = blocks(DOCS / "rigid_robots.md", "python")
+    names: dict[str, Any] = {}
+    exec(example, names)
+    (finding,) = names["diagnosis"].findings
+    assert (finding.effect, finding.joint) == ("motor_coulomb_friction", "elbow_joint")
+    # 3 N m in 8 s at 250 Hz: known to 0.1 %, of which the corners of its sign take some
+    assert finding.parameters["level"].value == pytest.approx(3.0, rel=0.01)
+    assert any("current times torque_constant" in note for note in names["diagnosis"].notes)
+
+
+def test_the_robot_of_that_page_is_one(tmp_path: Path) -> None:
+    (text,) = blocks(DOCS / "rigid_robots.md", "yaml")
+    (tmp_path / "my_ur5.yaml").write_text(text)
+    loaded = robot.load(tmp_path / "my_ur5.yaml")
+    assert all(joint.rigid and joint.torque_constant == 0.1 for joint in loaded.joints)
+
+
+def test_the_commands_of_that_page_are_commands() -> None:
+    from flexjoint.cli.main import _parser
+
+    for line in "\n".join(blocks(DOCS / "rigid_robots.md", "sh")).splitlines():
+        assert _parser().parse_args(line.split()[1:]).robot == "my_ur5.yaml"
+
+
 # --- the other pages --------------------------------------------------------------------------------------
 RUN_ELSEWHERE = {  # by a test of its own
     "adding_an_effect.md",
+    "rigid_robots.md",
     "simulation.md",
     "symbolic_body.md",
     "testing.md",

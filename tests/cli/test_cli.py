@@ -41,6 +41,7 @@ def diagnosed(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], None]:
             progress: object,
             payloads: object,
             refine: bool,
+            check_data: bool,
         ) -> Diagnosis:
             assert nominal.joint_names == fake_diagnosis.JOINTS and len(recordings) >= 1
             return result

@@ -19,6 +19,7 @@ from flexjoint.model.delays import longest_delay
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as tables
 from flexjoint.recording.clock import on_regular_clock
+from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import MEASURED, Recording
 from flexjoint.robot import robot as robots
 from flexjoint.robot.robot import Robot
@@ -119,7 +120,7 @@ def compare(
     """
     if not isinstance(model, FlexibleJointModel):
         model = FlexibleJointModel(robots.expect(model, "compare"))
-    recording = on_regular_clock(tables.expect(recording, "compare"))
+    recording = with_torques(model.robot, on_regular_clock(tables.expect(recording, "compare")))
     return compared(model, recording, horizon, closed_loop, engine)
 
 

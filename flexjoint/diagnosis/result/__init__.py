@@ -12,6 +12,8 @@ from flexjoint.core.text import as_html, plain
 from flexjoint.diagnosis.result.summary import summary
 from flexjoint.diagnosis.result.values import (
     Action,
+    Column,
+    DataFinding,
     Estimation,
     Finding,
     Fitted,
@@ -26,6 +28,7 @@ from flexjoint.diagnosis.result.values import (
     Unexplained,
     Verdict,
     WithinTolerance,
+    data_to_json,
     to_json,
 )
 from flexjoint.robot.robot import Robot, expect
@@ -71,6 +74,8 @@ class Diagnosis(Result):
 __all__ = [
     "LEAST",
     "Action",
+    "Column",
+    "DataFinding",
     "Diagnosis",
     "Estimation",
     "Finding",
@@ -86,5 +91,6 @@ __all__ = [
     "Unexplained",
     "Verdict",
     "WithinTolerance",
+    "data_to_json",
     "to_json",
 ]

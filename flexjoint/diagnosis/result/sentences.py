@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from flexjoint.diagnosis.result import merit, torque
-from flexjoint.diagnosis.result.values import Finding, Gain, Remaining, Result
+from flexjoint.diagnosis.result.values import DataFinding, Finding, Gain, Remaining, Result
 from flexjoint.diagnosis.result.wording import (
     Joints,
     capital,
@@ -27,6 +27,11 @@ from flexjoint.effects import Kind
 
 TIGHT = 0.95  # correlation of two errors, from which it is said
 MOST_PAIRS = 3  # of them that are named
+DATA = "Are the data right?"
+REPAIR = (
+    "What to do: repair the data and diagnose again; --ignore-data-checks (check_data=False) diagnoses them"
+    " as they are."
+)
 MAIN = 3  # causes that the first statement names; the table has all
 
 VERDICTS: Mapping[str, str] = {
@@ -46,6 +51,28 @@ class Statement:
 
 
 def statements(diagnosis: Result, gain: Gain | None, joints: Joints) -> tuple[Statement, ...]:
+    """What is wrong with the data, where anything is; then what the diagnosis says."""
+    if not diagnosis.data:
+        return _of_machine(diagnosis, gain, joints)
+    data = Statement(DATA, data_lines(diagnosis.data))
+    if diagnosis.verdict == "refused":
+        return (data, Statement("What next?", (*_refused(diagnosis)[1:2], REPAIR)))
+    return (data, *_of_machine(diagnosis, gain, joints))
+
+
+def data_lines(findings: Sequence[DataFinding]) -> tuple[str, ...]:
+    """Errors of the data, each with its repair, and the command that repairs the recordings."""
+    said = []
+    for finding in findings:
+        repair = "; ".join(str(column) for column in finding.columns) or finding.robot_file
+        first = finding.text.split(maxsplit=1)[0]
+        named = "." in first or "_" in first  # a column or a joint keeps its name
+        said += [sentence(finding.text if named else capital(finding.text)), f"  Repair: {clean(repair)}"]
+    commands = dict.fromkeys(finding.command for finding in findings if finding.command)
+    return (*said, *(f"All of it: {clean(command)}" for command in commands))
+
+
+def _of_machine(diagnosis: Result, gain: Gain | None, joints: Joints) -> tuple[Statement, ...]:
     """What was found and what it gains; what is left; whether it is this law, and what would decide it."""
     if diagnosis.verdict == "refused":
         return (Statement("", _refused(diagnosis)),)

@@ -37,7 +37,10 @@ def _blocks(result: Result) -> Iterator[Block]:
     for statement in sentences.statements(result, result.comparison, joints):
         if statement.question:
             yield from _heading(statement.question)
-        yield from _lines(*statement.lines)
+        if statement.question == sentences.DATA:  # columns and commands to be copied: not broken
+            yield from (Line(line, whole=True) for line in statement.lines)
+        else:
+            yield from _lines(*statement.lines)
     if sentences.needs_reason(result):
         yield from _lines(sentence(capital(result.reason)), style="dim")
     yield from _causes("Causes", sentences.likely(result), joints)

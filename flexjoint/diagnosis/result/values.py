@@ -183,6 +183,42 @@ class Step:
 
 
 @dataclass(frozen=True)
+class Column:
+    """How a column of a recording is made right: scale times the column `source`, plus an offset."""
+
+    name: str  # channel.joint
+    source: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def __str__(self) -> str:
+        """As an entry of a mapping."""
+        parts = [f"from: {self.source}"] if self.source != self.name else []
+        parts += [f"scale: {self.scale:.6g}"] if self.scale != 1.0 else []
+        parts += [f"offset: {self.offset:.6g}"] if self.offset != 0.0 else []
+        return f"{self.name}: {{{', '.join(parts)}}}"
+
+
+@dataclass(frozen=True)
+class DataFinding:
+    """An error of the data, and not of the machine: a sign, a zero, a unit or a name that is wrong.
+
+    `factor` is how much smaller (RMS) the torque balance of a joint is once it is repaired, and `left` what
+    is left of that torque then, as a share; None where no torque was needed to see it. The repair is of
+    `columns`, or of the robot file, whose line `robot_file` gives."""
+
+    error: str  # turned_torque | turned_position | turned_joint | turned_velocity | zero | unit | gear | ...
+    joint: str | None
+    text: str  # a sentence without its end
+    columns: tuple[Column, ...] = ()
+    robot_file: str = ""
+    factor: float | None = None
+    left: float | None = None
+    recording: str = ""
+    command: str = ""  # that writes the repaired recording
+
+
+@dataclass(frozen=True)
 class Result:
     """The values of a `Diagnosis`, which adds what one does with them."""
 
@@ -205,6 +241,7 @@ class Result:
     robot: str = ""  # its name
     prismatic: frozenset[str] = frozenset()  # joints that slide: their numbers are in m and N
     rigid: bool = False  # whether no joint has a spring
+    data: tuple[DataFinding, ...] = ()  # errors of the data, which come before any cause
 
 
 def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
@@ -214,6 +251,7 @@ def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
         "schema": 1,
         "verdict": diagnosis.verdict,
         "reason": diagnosis.reason,
+        "data": [data_to_json(d) for d in diagnosis.data],
         "findings": [_finding(f) for f in diagnosis.findings],
         "unexplained": [
             {"joint": u.joint, "balance": u.balance, "share": u.share, "against": u.against}
@@ -238,6 +276,26 @@ def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
         "notes": list(diagnosis.notes),
         "estimation": None if diagnosis.estimation is None else _estimation(diagnosis.estimation),
         "trace": [_step(step) for step in diagnosis.trace],
+    }
+
+
+def data_to_json(finding: DataFinding) -> dict[str, Any]:
+    return {
+        "kind": "data",
+        "error": finding.error,
+        "joint": finding.joint,
+        "text": finding.text,
+        "factor": finding.factor,
+        "left": finding.left,
+        "recording": finding.recording,
+        "repair": {
+            "columns": [
+                {"column": c.name, "from": c.source, "scale": c.scale, "offset": c.offset}
+                for c in finding.columns
+            ],
+            "robot_file": finding.robot_file,
+            "command": finding.command,
+        },
     }
 
 

@@ -102,7 +102,7 @@ def converted(log: Log, mapping: MappingFile = EMPTY, robot: Robot | None = None
         for k, joint in enumerate(source.joints)
     }
     recording = make(time, columns, log.source)
-    check_columns(recording)
+    check_columns(robot, recording)
     return Imported(recording, tuple(_account(log, mapping, sources, recording, clock, notes)))
 
 

@@ -1,0 +1,46 @@
+"""`flexjoint check-data`: whether signs, zeros, units and names of a recording are those of its robot."""
+
+from __future__ import annotations
+
+import argparse
+
+from rich.console import Console
+
+from flexjoint.cli.options import load_chosen
+from flexjoint.cli.outputs import check_place
+from flexjoint.core.errors import RecordingError
+from flexjoint.diagnosis.data.check import check_data
+from flexjoint.recording import table as recording
+from flexjoint.recording.checks import check
+from flexjoint.report.terminal import show
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """The command. Raises FlexJointError on unusable input, and on data that are wrong and not repaired."""
+    inputs = [arguments.recording]
+    if arguments.json is not None:
+        check_place(arguments.json, (".json",), inputs)
+    if arguments.out is not None:
+        check_place(arguments.out, (".csv", ".parquet"), inputs)
+    robot = load_chosen(arguments)
+    table = recording.read(arguments.recording)
+    check(robot, table)
+    found = check_data(robot, table)
+    if arguments.out is not None:
+        found.repaired.write(arguments.out)
+    if arguments.json is not None:
+        found.write(arguments.json)
+    console = Console()
+    show(found.summary(), console)
+    left = [f for f in found.findings if arguments.out is None or not f.columns]
+    if arguments.out is not None:
+        done = len(found.findings) - len(left)
+        console.print(
+            f"wrote {arguments.out}; errors repaired: {done}", markup=False, highlight=False, soft_wrap=True
+        )
+    if left:
+        how = "with --out REC.parquet" if left[0].columns else "in the robot file"
+        raise RecordingError(
+            f"{arguments.recording}: errors of the data: {len(left)}; the first: {left[0].text}; repair"
+            f" it {how}"
+        )

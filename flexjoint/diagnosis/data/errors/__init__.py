@@ -1,0 +1,1 @@
+"""Errors of the data that torques tell, one a file: what may be wrong, and what would undo it."""

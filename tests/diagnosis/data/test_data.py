@@ -1,0 +1,96 @@
+"""Parts of the check of data: changes one after the other, torques against motion, loads instead, repairs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.ur5_logs import ELBOW, LIFT, NAMES, PAN, log, ur5
+
+from flexjoint.diagnosis.data.change import Change, Source, View
+from flexjoint.diagnosis.data.columns import repaired
+from flexjoint.diagnosis.data.follows import Balance
+from flexjoint.diagnosis.data.rivals import explained_otherwise, reach
+from flexjoint.diagnosis.data.sampled import sampled
+from flexjoint.diagnosis.data.travel import slope
+from flexjoint.diagnosis.result import Column, DataFinding
+from flexjoint.diagnosis.settings import USUAL
+from flexjoint.recording.table import make
+
+LIMITS = USUAL.data
+
+
+def balance(friction: float = 0.5, **load: object) -> Balance:
+    data = sampled(ur5(), log(friction=friction, **load), LIMITS)  # type: ignore[arg-type]
+    assert data is not None
+    return Balance(data, LIMITS)
+
+
+def test_changes_are_made_one_after_the_other() -> None:
+    """x -> -x, then + 1, then swapped with the pan's: the elbow's right values are the pan's, and the pan's
+    are 1 less the elbow's."""
+    swap = {PAN: Source(ELBOW), ELBOW: Source(PAN)}
+    view = View.of(
+        [
+            Change("turned", (ELBOW,), {ELBOW: Source(ELBOW, -1.0)}),
+            Change("zero", (ELBOW,), {ELBOW: Source(ELBOW, 1.0, 1.0)}),
+            Change("swapped", (PAN, ELBOW), swap),
+        ]
+    )
+    assert view.positions[PAN] == Source(ELBOW, -1.0, 1.0)
+    assert view.positions[ELBOW] == Source(PAN)
+
+
+def test_friction_that_resists_is_no_misfit_and_friction_that_drives_is() -> None:
+    """With half of the torque as friction, which the model has not: what is left is noise of 2 %, and turned
+    it is all of it, as no gain below 0.5 is allowed."""
+    given = balance()
+    left = np.sqrt(given.misfits(View()))
+    assert np.all(left < 0.06)  # the noise, and the corners of friction that the kernel rounds
+    turned = Change("", NAMES, torques={("tau_motor", name): Source(name, -1.0) for name in NAMES})
+    assert np.all(given.misfits(View.of([turned])) > 1.0)
+
+
+def test_a_swap_with_a_joint_that_was_not_recorded_explains_nothing() -> None:
+    given = balance()
+    view = View.of([Change("", (PAN,), torques={("tau_motor", PAN): Source("nobody")})])
+    assert given.misfits(view)[given.rows.index(("tau_motor", PAN))] == 1.0
+
+
+def test_a_load_that_is_there_stands_behind_the_torque_and_a_turned_torque_has_none() -> None:
+    laden = balance(mass=5.0, place=(0.1, 0.05, 0.05))
+    row = laden.rows.index(("tau_motor", "wrist_2_joint"))
+    assert laden.misfits(View())[row] > LIMITS.wrong**2
+    assert explained_otherwise(laden, View(), row, 0.05**2)
+    plain = balance()
+    turned = View.of([Change("", (LIFT,), torques={("tau_motor", LIFT): Source(LIFT, -1.0)})])
+    assert not explained_otherwise(plain, turned, plain.rows.index(("tau_motor", LIFT)), 0.05**2)
+
+
+def test_the_reach_is_that_of_the_stretched_arm() -> None:
+    # upper arm 0.425 m, forearm 0.392 m, wrist 0.109 + 0.095 + 0.082 m: no less, and with the offsets to the
+    # side (0.136 and 0.12 m) and a body's centre no more than half as much again
+    assert 1.1 < reach(ur5()) < 1.65
+
+
+def test_columns_are_repaired_together_and_noted() -> None:
+    one, other = f"q.{PAN}", f"q.{ELBOW}"
+    swap = DataFinding(
+        "swapped", None, "they are swapped", (Column(one, other), Column(other, one, -1.0, 0.5))
+    )
+    before = log()
+    after = repaired(before, [swap])
+    assert np.array_equal(after.get("q", PAN), before.get("q", ELBOW))
+    assert np.array_equal(after.get("q", ELBOW), 0.5 - before.get("q", PAN))
+    assert after.notes == ("they are swapped: repaired",)
+    assert repaired(before, []) is before
+
+
+@pytest.mark.parametrize("factor", [-1.0, 57.0, 0.02])
+def test_a_slope_is_told_whatever_the_offset_and_the_noise(factor: float) -> None:
+    before = log()
+    noise = 1e-4 * abs(factor) * np.random.default_rng(0).normal(size=before.time.size)
+    theta = factor * before.get("q", ELBOW) + 3.0 + noise
+    table = make(before.time, {("q", ELBOW): before.get("q", ELBOW), ("theta", ELBOW): theta})
+    found = slope(table, ELBOW, "theta", "q")
+    assert found is not None and found.slope == pytest.approx(factor, rel=1e-3)
+    assert abs(found.alike) > 0.999
