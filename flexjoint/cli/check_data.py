@@ -6,24 +6,24 @@ import argparse
 
 from rich.console import Console
 
-from flexjoint.cli.options import load_chosen
+from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import RecordingError
 from flexjoint.diagnosis.data.check import check_data
-from flexjoint.recording import table as recording
 from flexjoint.recording.checks import check
+from flexjoint.recording.importing import read
 from flexjoint.report.terminal import show
 
 
 def run(arguments: argparse.Namespace) -> None:
     """The command. Raises FlexJointError on unusable input, and on data that are wrong and not repaired."""
-    inputs = [arguments.recording]
+    inputs = [arguments.recording, *([arguments.mapping] if arguments.mapping is not None else [])]
     if arguments.json is not None:
         check_place(arguments.json, (".json",), inputs)
     if arguments.out is not None:
         check_place(arguments.out, (".csv", ".parquet"), inputs)
     robot = load_chosen(arguments)
-    table = recording.read(arguments.recording)
+    table = read(arguments.recording, mapping_of(arguments), robot).recording
     check(robot, table)
     found = check_data(robot, table)
     if arguments.out is not None:

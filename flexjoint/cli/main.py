@@ -152,8 +152,9 @@ def _add_diagnose(commands: Any) -> None:
 
 def _add_check_data(commands: Any) -> None:
     data = commands.add_parser("check-data", help="find wrong signs, zeros, units and names in a recording")
-    data.add_argument("recording", type=Path, metavar="REC", help="CSV or Parquet table")
+    data.add_argument("recording", type=Path, metavar="REC", help="table, or another log")
     options.add_robot(data)
+    options.add_mapping(data)
     data.add_argument(
         "--out", type=Path, metavar="REC", help="write the repaired recording (.csv or .parquet)"
     )

@@ -192,11 +192,10 @@ class Column:
     offset: float = 0.0
 
     def __str__(self) -> str:
-        """As an entry of a mapping."""
-        parts = [f"from: {self.source}"] if self.source != self.name else []
-        parts += [f"scale: {self.scale:.6g}"] if self.scale != 1.0 else []
-        parts += [f"offset: {self.offset:.6g}"] if self.offset != 0.0 else []
-        return f"{self.name}: {{{', '.join(parts)}}}"
+        """theta.elbow = -1 * theta.elbow + 0.5"""
+        times = f"{self.scale:.6g} * " if self.scale != 1.0 else ""
+        plus = f" {'-' if self.offset < 0.0 else '+'} {abs(self.offset):.6g}" if self.offset != 0.0 else ""
+        return f"{self.name} = {times}{self.source}{plus}"
 
 
 @dataclass(frozen=True)
