@@ -99,17 +99,18 @@ def _command_sizes(problem: Problem, effects: Sequence[Planned]) -> dict[int, fl
 
 def _evaluated(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> float:
     limits = problem.settings.regression
-    # what is left is not sensor noise: it is no smaller where a model predicts more of that noise
-    if np.max(problem.level.inflation) >= limits.noise_decides:
-        return problem.energy(y)
     deviations = problem.deviations(y)
-    far = np.max(np.abs(deviations), initial=0.0) > limits.plausible
+    noise_decides = np.max(problem.level.inflation) < limits.noise_decides
+    far = noise_decides and np.max(np.abs(deviations), initial=0.0) > limits.plausible
     if not far and not any(whitening.changes_noise(e) for e in effects):
         return problem.energy(y)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             energy = _energy_at(problem, deviations, effects)
-            energy = min(energy, _energy_at(problem, converged_deviations(problem, effects, y), effects))
+            if noise_decides:
+                energy = min(energy, _energy_at(problem, converged_deviations(problem, effects, y), effects))
+            else:  # what is left is not sensor noise: no smaller where a model predicts more of that noise
+                energy = max(energy, problem.energy(y))
     except np.linalg.LinAlgError:  # beside a wrong cause the numbers may be impossible (a negative mass)
         return problem.energy(y)
     if not any(e.effect.overrides("edit_inertial") for e in problem.nominal):
