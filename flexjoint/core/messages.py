@@ -18,15 +18,15 @@ def escaped(text: str, kept: str = "") -> str:
     return text if text.isprintable() else "".join(c if c in kept else _escape(c) for c in text)
 
 
-def cut(text: str, longest: int) -> str:
-    """The text without its middle where it is longer."""
-    half = (longest - 3) // 2
-    return text if len(text) <= longest else f"{text[:half]}...{text[-half:]}"
+def cut(text: str, longest: int, end: float = 0.5) -> str:
+    """The text without its middle where it is longer; so much of what is kept is its end."""
+    last = int(end * (longest - 3))
+    return text if len(text) <= longest else f"{text[: longest - 3 - last]}...{text[-last:]}"
 
 
 def one_line(message: object, longest: int = LONGEST_LINE) -> str:
-    """A message as one line: what is wrong stands at its beginning, what to do at its end."""
-    return cut(escaped(" ".join(_ends(str(message)).split())), longest)
+    """A message as one line: a path and what is wrong stand at its beginning, what to do at its end."""
+    return cut(escaped(" ".join(_ends(str(message)).split())), longest, end=1 / 3)
 
 
 def _escape(c: str) -> str:
