@@ -373,10 +373,10 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
         description = replace(description, text=choice.urdf)
         file = file.model_copy(update={"base": "floating" if choice.floating else "fixed"})
         whole = robot_description.model(description, choice.floating)
+    file = _followers_held(file, whole, description.follows, where)
     model = _lock(whole, file, known, path)
     for line in description.odd:
         warnings.warn(line, RobotWarning, stacklevel=2)
-    _check_followers(model, description.follows, where)
     _check_inertia(model, where)
     joints = []
     for name, entry in file.joints.items():
@@ -435,14 +435,24 @@ def _tie(tied: Sequence[str], follows: Mapping[str, str]) -> str:
     return f"{shown(tied[0])} follows {shown(follows[tied[0]])}{more} by a mimic or equality"
 
 
-def _check_followers(model: pin.Model, follows: Mapping[str, str], where: str) -> None:
-    """A joint that the description ties to another would swing freely."""
-    loose = [name for name in follows if model.existJointName(name)]
-    if loose:
-        raise RobotError(
-            f"{where}: joint {_tie(loose, follows)}, not modelled; list it under `lock`, or remove the"
-            " tie from the description"
-        )
+def _followers_held(
+    file: schema.RobotFile, whole: pin.Model, follows: Mapping[str, str], where: str
+) -> schema.RobotFile:
+    """The file with the joints locked that the description ties to others and that nothing drives: they would
+    swing freely. One that the file drives is a joint of its own. A warning says either."""
+    tied = [name for name in follows if whole.existJointName(name) and name not in file.lock]
+    for names, done in (
+        ([name for name in tied if name in file.joints], "it moves on its own, as the robot file drives it"),
+        (
+            [name for name in tied if name not in file.joints],
+            "it is held at 0, mass kept, as under `lock`",
+        ),
+    ):
+        if names:
+            said = f"{where}: joint {_tie(names, follows)}, which is not modelled: {done}"
+            warnings.warn(said, RobotWarning, stacklevel=3)
+    held = [name for name in tied if name not in file.joints]
+    return file.model_copy(update={"lock": (*file.lock, *held)})
 
 
 def _check_inertia(model: pin.Model, where: str) -> None:

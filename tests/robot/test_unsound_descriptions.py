@@ -70,7 +70,6 @@ def refused(path: Path, said: str, capfd: pytest.CaptureFixture[str]) -> None:
         ('<link name="base"/>', '<link name="base"/><link name="b2"/>', "a robot has one root"),
         ('joint name="wrist"', 'joint name="elbow"', "joint 'elbow' stands twice"),
         ('link name="hand"', 'link name="lower"', "link 'lower' stands twice"),
-        ('name="elbow" type="revolute">', 'name="elbow" type="revolute"><mimic joint="shoulder"/>', "joint elbow follows shoulder by a mimic or equality, not modelled; list it under `lock`"),
         ('<robot name="arm2">', '<robot name="arm2" xmlns:xacro="http://ros.org/xacro"><xacro:property name="a"/>', "of xacro; run xacro on it first"),
         ('link name="hand"', 'link name="h\x9band"', "control characters"),
         ('<robot name="arm2">', '<!DOCTYPE r [<!ENTITY a "a">]><robot name="arm2">', "may define entities"),
@@ -97,7 +96,6 @@ def test_a_urdf_that_lies_is_refused(
             for tag in ("include", "replicate", "frame", "attach", "composite", "flexcomp")
         ],
         (END, f"<foo/>{END}", "<foo> within a body is not read"),
-        ("</mujoco>", '<equality><joint joint1="elbow" joint2="shoulder"/></equality></mujoco>', "joint elbow follows shoulder by a mimic or equality"),
         ("</mujoco>", '<equality><connect body1="upper" body2="lower" anchor="0 0 0"/></equality></mujoco>', "equality <connect> ties bodies, which is not modelled"),
         ('mass="2"', 'mass="1,5"', "inertial: mass: expected a number with a decimal point, got '1,5'"),
         ('mass="2"', 'mass="nan"', "expected a number"),
@@ -163,6 +161,23 @@ def test_a_mass_that_is_to_come_from_a_mesh_is_named(tmp_path: Path) -> None:
 def test_a_mimic_joint_that_is_locked_is_no_matter(tmp_path: Path) -> None:
     text = URDF.replace(LIMIT, f'{LIMIT}<mimic joint="elbow"/>')
     assert loaded(urdf(tmp_path, text))[1] == []
+
+
+def test_a_mimic_joint_that_the_robot_file_drives_moves_on_its_own(tmp_path: Path) -> None:
+    tied = URDF.replace(
+        'name="elbow" type="revolute">', 'name="elbow" type="revolute"><mimic joint="shoulder"/>'
+    )
+    arm, said = loaded(urdf(tmp_path, tied))
+    assert "elbow" in arm.joint_names and len(said) == 1
+    assert "joint elbow follows shoulder" in said[0] and "moves on its own" in said[0]
+
+
+def test_a_mimic_joint_that_the_robot_file_does_not_name_is_held(tmp_path: Path) -> None:
+    path = urdf(tmp_path, URDF.replace(LIMIT, f'{LIMIT}<mimic joint="elbow"/>'))
+    path.write_text(yaml.safe_dump(content()))  # without its lock
+    arm, said = loaded(path)
+    assert arm.file.lock == ("wrist",) and not arm.model.existJointName("wrist")
+    assert len(said) == 1 and "joint wrist follows elbow" in said[0] and "held at 0" in said[0]
 
 
 def test_of_a_description_alone_mimic_joints_are_held(tmp_path: Path) -> None:
