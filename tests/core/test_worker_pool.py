@@ -119,7 +119,7 @@ def test_an_interrupt_during_a_fork_is_not_lost() -> None:
 
     def interrupt() -> None:
         if armed and armed.pop():
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)  # to this thread, before the next instruction
             sum(range(1000))  # the interpreter looks at signals between instructions
 
     os.register_at_fork(after_in_parent=interrupt)
