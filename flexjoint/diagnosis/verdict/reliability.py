@@ -66,13 +66,14 @@ def on_background(
     background and the sensors' noise, where a smooth law of one signal would remove much of that, and where
     many causes are needed on one joint: `beside` counts the convincing ones there, this one included."""
     own = next((j for j in joints if j.joint == removed.joint), None)
-    if own is None:
+    if own is None or own.torque <= 0.0:
         return 0.0
     size = float(np.sqrt(max(removed.without**2 - removed.left**2, 1e-300)))
     usual = settings.background_typical * own.torque
+    background = max(min(usual, own.after), 1e-9 * usual)  # a recording without noise leaves rounding
     beyond_noise = float(np.sqrt(max(0.0, own.after**2 - own.noise**2)))
     odds = (
-        settings.background_size * float(np.log10(size / (settings.background_even * min(usual, own.after))))
+        settings.background_size * float(np.log10(size / (settings.background_even * background)))
         - settings.background_more * _decades(beyond_noise / usual)
         - settings.background_shape * _decades(removed.structured / (settings.background_shaped * size))
         - settings.belief_crowd * max(0, beside - settings.crowd)

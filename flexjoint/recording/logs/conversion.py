@@ -493,39 +493,37 @@ def _from_current(log: Log, mapping: MappingFile, robot: Robot | None, source: _
 
 
 def _constant(log: Log, mapping: MappingFile, robot: Robot | None, source: _Source) -> tuple[np.ndarray, str]:
-    own = source.entry.torque_constant if source.entry is not None else None
-    for given, why in ((own, "stated by the mapping"), (mapping.torque_constant, "as stated")):
-        numbers = by_joint(given, source.joints, "torque_constant", log.source)
-        if numbers is not None:
-            return np.array(numbers), why
-    found = _of_robot(robot, source.joints, "torque_constant")
-    if found is not None:
-        return found, "of the robot file"
-    raise refusal(
-        log.source,
-        f"{_of(source)} is a current: give --torque-constant N_M_PER_A of the"
-        f" rotor (its data"
-        " sheet) and --gear RATIO, or map it to the channel `current`",
+    missing = (
+        f"{_of(source)} is a current: give --torque-constant N_M_PER_A of the rotor (its data sheet) and"
+        " --gear RATIO, or map it to the channel `current`"
     )
+    return _stated(log, mapping, robot, source, "torque_constant", missing)
 
 
 def _gear(
     log: Log, mapping: MappingFile, robot: Robot | None, source: _Source, what: str
 ) -> tuple[np.ndarray, str]:
-    own = source.entry.gear_ratio if source.entry is not None else None
-    for given, why in ((own, "stated by the mapping"), (mapping.gear_ratio, "as stated")):
-        numbers = by_joint(given, source.joints, "gear_ratio", log.source)
+    missing = (
+        f"{_of(source)} holds {what}: give --gear RATIO, rotor turns per turn of the joint (or one number a"
+        " joint)"
+    )
+    return _stated(log, mapping, robot, source, "gear_ratio", missing)
+
+
+def _stated(
+    log: Log, mapping: MappingFile, robot: Robot | None, source: _Source, name: str, missing: str
+) -> tuple[np.ndarray, str]:
+    """A number of each joint, and who states it: the entry of its signal, the mapping or an option, the robot
+    file. Raises RecordingError with what is `missing` where nobody does."""
+    own = None if source.entry is None else getattr(source.entry, name)
+    for given, why in ((own, "stated by the mapping"), (getattr(mapping, name), "as stated")):
+        numbers = by_joint(given, source.joints, name, log.source)
         if numbers is not None:
             return np.array(numbers), why
-    found = _of_robot(robot, source.joints, "gear_ratio")
+    found = _of_robot(robot, source.joints, name)
     if found is not None:
         return found, "of the robot file"
-    raise refusal(
-        log.source,
-        f"{_of(source)} holds {what}: give --gear RATIO, rotor turns per turn"
-        f" of the joint"
-        " (or one number a joint)",
-    )
+    raise refusal(log.source, missing)
 
 
 def _of_robot(robot: Robot | None, joints: Sequence[str], key: str) -> np.ndarray | None:

@@ -44,6 +44,13 @@ def test_a_small_cause_is_believed_where_next_to_nothing_is_left() -> None:
     assert believed(small, replace(JOINT, after=0.05)) > 0.95
 
 
+def test_what_leaves_nothing_at_all_is_believed_and_a_joint_without_torque_tells_nothing() -> None:
+    clean = replace(CAUSE, left=0.0, structured=0.0)
+
+    assert believed(clean, replace(JOINT, after=0.0)) > 0.99
+    assert believed(clean, replace(JOINT, torque=0.0)) == 0.0
+
+
 def test_where_far_more_is_left_than_a_background_another_cause_may_stand_behind_a_name() -> None:
     assert believed(CAUSE, replace(JOINT, after=15.0)) < 0.5
     # the same as noise of the sensors tells nothing against it
