@@ -776,7 +776,7 @@ class VerdictSettings(Stage):
         2.5,
         "times a background",
         "that a cause removes which is there as likely as not",
-        "study: dirty machines; below it 14 of 32 names were wrong, above three times that 2 of 39",
+        "study: dirty machines; below it 21 of 36 names were wrong, above three times that 5 of 35",
     )
     background_size: float = number(
         4.0,
