@@ -1,0 +1,246 @@
+"""Every target: its table, its file, what Pinocchio reads of it, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+import runpy
+import sys
+import types
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from support.arms import PLANAR, SPATIAL, make, one_of_each
+from support.pages import DOCS
+
+import flexjoint as fj
+from flexjoint.core.errors import FlexJointError, RobotError, UnknownNameError
+from flexjoint.effects import Planned, catalogue, effect
+from flexjoint.export.base import NUMBERS, UNMAPPED, Level, Target
+from flexjoint.export.targets import TARGETS, export_robot, exported, page
+from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.robot.robot import Robot, load, shipped_robots
+
+
+# --- the table ----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
+def test_every_effect_and_number_has_a_row(target: Target) -> None:
+    assert sorted(target.effects) == sorted(catalogue()), "add the new effect to the target's effects"
+    assert list(target.numbers) == list(NUMBERS)
+    for way in (*target.effects.values(), *target.numbers.values()):
+        assert way.how and way != UNMAPPED
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
+def test_an_effect_without_a_row_is_left_out_and_said(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mapped = {name: way for name, way in type(target).effects.items() if name != "payload"}
+    monkeypatch.setattr(type(target), "effects", mapped)
+    arm = make(PLANAR)
+    heavy = arm.extended([effect("payload", "knee", mass=3.0, position=(0.1, 0.0, 0.0))])
+    done = exported(heavy, target.name)
+    assert [(row.what, row.joint, row.way) for row in done.lost if row.joint] == [
+        ("payload", "knee", UNMAPPED)
+    ]
+    body = done.text.split("-->")[-1].split("import")[-1]
+    assert body == exported(arm, target.name).text.split("-->")[-1].split("import")[-1]
+
+
+def test_the_page_is_fresh() -> None:
+    text = (DOCS / "exporting.md").read_text(encoding="utf-8")
+    assert text == page(text), "run: make docs"
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
+def test_the_account_stands_in_the_file(target: Target) -> None:
+    """Of a robot with every effect at once, on joints with a spring and without."""
+    arm = make(PLANAR, {"hip": {"stiffness": math.inf, "damping": 0.0}})
+    arm = arm.extended(
+        [*one_of_each("knee"), *(e for e in one_of_each("hip") if e.joint and not e.effect.needs_spring)]
+    )
+    done = exported(arm, target.name)
+    assert {row.what for row in done.account if row.joint} == {
+        name for name, e in catalogue().items() if not e.whole_robot
+    }
+    for line in str(done).splitlines():
+        assert line.replace("--", "- -") in done.text
+    assert [row for row in done.account if row.way.level is Level.NONE] == list(done.lost)
+    if target.suffixes != (".py",):
+        ElementTree.fromstring(done.text)
+
+
+def test_an_effect_that_sets_in_later_is_not_in_a_file() -> None:
+    arm = make(PLANAR).extended([effect("payload", "knee", since=2.0, mass=3.0)])
+    (row,) = (row for row in exported(arm, "mjcf").account if row.what == "payload")
+    assert row.way.level is Level.NONE and "sets in later" in row.way.how
+
+
+# --- what Pinocchio reads of them ---------------------------------------------------------------------------
+def same_body(arm: Robot, back: pin.Model, armature: bool = False) -> None:
+    """Mass matrix and gravity of the robot with its effects, by the names of its joints."""
+    model = FlexibleJointModel(arm)
+    names = [str(name) for name in arm.model.names[1:]]
+    assert [str(name) for name in back.names[1:]] == names
+    rng = np.random.default_rng(7)
+    for _ in range(3):
+        q = rng.uniform(-1.0, 1.0, arm.model.nq)
+        other = q.copy()
+        if back.nq != arm.model.nq:  # continuous joints as cosine and sine
+            other = np.concatenate(
+                [
+                    [math.cos(x), math.sin(x)] if back.joints[back.getJointId(name)].nq == 2 else [x]
+                    for name, x in zip(names, q, strict=True)
+                ]
+            )
+        expected = np.array(model.body.mass_matrix(q))
+        if armature:
+            for i in model.rigid:
+                expected[model.joints[i].idx_v, model.joints[i].idx_v] += model.flows[i].drive.B
+        mass = pin.crba(back, back.createData(), other)
+        size = float(np.max(np.abs(expected)))
+        assert mass == pytest.approx(expected, abs=1e-9 * size)
+        gravity = model.body.gravity_torque(q)
+        size = float(np.max(np.abs(gravity))) + 1e-3
+        got = pin.computeGeneralizedGravity(back, back.createData(), other)
+        assert got == pytest.approx(gravity, abs=1e-9 * size)
+
+
+LOADED = [
+    effect("payload", "pitch", mass=0.7, position=(0.1, -0.05, 0.2)),
+    effect("base_tilt", roll=0.3, pitch=-0.4),
+]
+
+
+@pytest.mark.parametrize("target", ["urdf", "drake"])
+def test_pinocchio_reads_the_urdf_as_the_same_machine(target: str, tmp_path: Path) -> None:
+    arm = make(SPATIAL, {"roll": None}).extended(LOADED)  # with a passive joint
+    out = tmp_path / "arm.urdf"
+    export_robot(arm, target, out)
+    same_body(arm, pin.buildModelFromUrdf(str(out)))
+
+
+@pytest.mark.parametrize("name", [name for name in shipped_robots() if name != "centauro"])
+def test_shipped_robots_come_back_from_urdf_and_mjcf(name: str, tmp_path: Path) -> None:
+    arm = load(name)
+    export_robot(arm, "urdf", tmp_path / "arm.urdf")
+    same_body(arm, pin.buildModelFromUrdf(str(tmp_path / "arm.urdf")))
+    export_robot(arm, "mjcf", tmp_path / "arm.xml")
+    same_body(arm, pin.buildModelFromMJCF(str(tmp_path / "arm.xml")), armature=True)
+
+
+# --- the numbers of each file -------------------------------------------------------------------------------
+RUBBING = [
+    effect("motor_coulomb_friction", "hip", level=0.4),
+    effect("link_coulomb_friction", "hip", level=0.1),
+    effect("asymmetric_friction", "hip", level_positive=0.3, level_negative=0.1),
+    effect("link_viscous_friction", "hip", coefficient=2.0),
+    effect("motor_viscous_friction", "hip", coefficient=1.0),
+    effect("motor_inertia", "hip", scale=0.5),
+    effect("torque_saturation", "hip", limit=50.0),
+    effect("torque_delay", "hip", delay=4e-3),
+    effect("stribeck_friction", "knee", level=0.2, static_extra=0.1),
+    effect("cable_spring", "knee", stiffness=3.0, rest=0.4),
+]
+
+
+def test_urdf_has_damping_friction_and_limits() -> None:
+    root = ElementTree.fromstring(exported(make(PLANAR).extended(RUBBING), "urdf").text)
+    hip = {joint.get("name"): joint for joint in root.iter("joint")}["hip"]
+    dynamics, limit = hip.find("dynamics"), hip.find("limit")
+    assert dynamics is not None and limit is not None
+    assert float(dynamics.attrib["damping"]) == pytest.approx(12.0 + 2.0 + 1.0)
+    assert float(dynamics.attrib["friction"]) == pytest.approx(0.4 + 0.1 + 0.2)
+    assert float(limit.attrib["effort"]) == 50.0
+    assert hip.get("type") == "continuous" and root[0].get("name") == "world"
+
+
+def test_drake_reflects_the_rotors_inertia_by_the_gear() -> None:
+    arm = make(PLANAR, {"hip": {"gear_ratio": 100.0}}).extended(RUBBING)
+    text = exported(arm, "drake").text
+    root = ElementTree.fromstring(text)
+    found = {}
+    for transmission in root.iter("transmission"):
+        actuator = transmission.find("actuator")
+        assert actuator is not None
+        tags = {child.tag.split("}")[1]: float(child.attrib["value"]) for child in actuator}
+        found[actuator.get("name")] = tags["rotor_inertia"] * tags["gear_ratio"] ** 2
+    assert found == {"hip": pytest.approx(0.24 * 1.5), "knee": pytest.approx(0.13)}
+    assert "<drake:gear_ratio value=" in text
+
+
+def test_sdf_has_links_at_their_joints_and_springs() -> None:
+    root = ElementTree.fromstring(exported(make(PLANAR).extended(RUBBING), "sdf").text)
+    links = {link.get("name"): link for link in root.iter("link")}
+    pose = links["knee_link"].find("pose")
+    assert pose is not None and pose.get("relative_to") == "hip_link"
+    assert [float(x) for x in (pose.text or "").split()] == pytest.approx([0, 0, -0.4, 0, 0, 0])
+    assert float(links["knee_link"].findtext("inertial/mass", "")) == 1.5
+    joints = {joint.get("name"): joint for joint in root.iter("joint")}
+    knee = joints["knee"]
+    assert float(knee.findtext("axis/dynamics/spring_stiffness", "")) == 3.0
+    assert float(knee.findtext("axis/dynamics/spring_reference", "")) == 0.4
+    assert float(joints["hip"].findtext("axis/limit/effort", "")) == 50.0
+    assert joints["mounting"].findtext("parent") == "world"
+
+
+def test_isaac_lab_gets_a_configuration_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With stand-ins for its two classes, which only keep what they are given."""
+    stand_in = types.ModuleType("isaaclab.actuators")
+
+    def config(kind: str) -> Any:
+        return lambda **given: (kind, given)
+
+    for kind in ("ImplicitActuatorCfg", "DelayedPDActuatorCfg"):
+        setattr(stand_in, kind, config(kind))
+    monkeypatch.setitem(sys.modules, "isaaclab", types.ModuleType("isaaclab"))
+    monkeypatch.setitem(sys.modules, "isaaclab.actuators", stand_in)
+    out = tmp_path / "actuators.py"
+    export_robot(make(PLANAR).extended(RUBBING), "isaaclab", out)
+    actuators = runpy.run_path(str(out))["ACTUATORS"]
+    kind, hip = actuators["hip"]
+    assert kind == "DelayedPDActuatorCfg" and hip["min_delay"] == hip["max_delay"] == 4
+    assert hip["joint_names_expr"] == ["hip"] and hip["effort_limit"] == 50.0
+    assert (hip["stiffness"], hip["damping"]) == (2600.0, 30.0)  # kp and kd
+    assert hip["armature"] == pytest.approx(0.36) and hip["viscous_friction"] == pytest.approx(15.0)
+    assert hip["friction"] == hip["dynamic_friction"] == pytest.approx(0.7)
+    kind, knee = actuators["knee"]
+    assert kind == "ImplicitActuatorCfg" and knee["friction"] - knee["dynamic_friction"] == pytest.approx(0.1)
+
+
+def test_ros2_control_has_interfaces_limits_and_says_delays() -> None:
+    text = exported(make(PLANAR, sensing_delay=2e-3).extended(RUBBING), "ros2_control").text
+    root = ElementTree.fromstring(text)
+    joints = {joint.get("name"): joint for joint in root.iter("joint")}
+    limits = {param.get("name"): float(param.text or "") for param in joints["hip"].iter("param")}
+    assert limits == {"min": -50.0, "max": 50.0}
+    assert [one.get("name") for one in joints["hip"].iter("state_interface")] == [
+        "position",
+        "velocity",
+        "effort",
+    ]
+    assert "the effort acts 0.004 s late" in text and "readings are 0.002 s old" in text
+
+
+# --- refusals -----------------------------------------------------------------------------------------------
+def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
+    arm = make(PLANAR)
+    with pytest.raises(UnknownNameError, match=r"unknown target of an export 'mjfc' .did you mean 'mjcf'"):
+        fj.export_robot(arm, "mjfc", tmp_path / "a.xml")
+    with pytest.raises(FlexJointError, match=r"expected a name that ends in .xml or .mjcf, got .urdf"):
+        fj.export_robot(arm, "mjcf", tmp_path / "a.urdf")
+    with pytest.raises(RobotError, match=r"export_robot: expected a robot first, got the text 'arm\.yaml'"):
+        fj.export_robot("arm.yaml", "mjcf", tmp_path / "a.xml")  # type: ignore[arg-type]
+    light = arm.extended([effect("payload", "knee", mass=-5.0)])
+    with pytest.raises(RobotError, match=r"the link of joint knee weighs -3.5 kg .* check the payload"):
+        fj.export_robot(light, "urdf", tmp_path / "a.urdf")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damping_below_zero_is_not_expressible() -> None:
+    arm = make(PLANAR).extended([Planned.of("motor_viscous_friction", "knee", {"coefficient": -20.0})])
+    (row,) = exported(arm, "mjcf").lost[1:]
+    assert row.what == "motor_viscous_friction" and "negative" in row.way.how
