@@ -23,16 +23,24 @@ from flexjoint.export.rigid import STALL
 from flexjoint.export.subject import Body, Subject
 from flexjoint.export.xml import child, note, quaternion, whole
 from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.robot.reading.mjcf_drives import (
+    CREEP,
+    DRIVE,
+    MARK,
+    PRELOAD,
+    PULL,
+    ROTOR,
+    SOFT,
+    SPRING,
+    STOP,
+)
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.schemes.modes import linearised
 
-ROTOR = "rotor."  # before the name of a joint: its rotor's hinge
 SPECK = 1e-12  # kg and kg m^2: MuJoCo wants some of each moving body
 FAR = 1e9  # rad, where a dead band ends that has one edge
-PULL = 1e-6  # N m/rad: so soft a spring, stretched far, is a constant torque
 RESOLVED = 0.5  # largest |lambda| h of the springs at the file's step h; above 2 it is unstable
 STEPS = 1000  # steps at most into which the robot's own is divided
-SOFT = 1e-4  # smallest impedance of MuJoCo's limits: as a spring whose end has this share of its inertia
 LIGHT = 1e-6  # share of a creeping damper's reach in one step that its mass delays
 STICK = "0.9999 0.9999 0.001 0.5 2"  # the hardest that MuJoCo's solver takes: what rests creeps least
 COMMANDS = ("current_lag", "torque_saturation", "torque_speed_limit")  # that a ripple passes through
@@ -203,6 +211,8 @@ class _Writer:
             integrator="implicitfast",
             gravity=self.subject.gravity,
         )
+        custom = child(self.root, "custom")
+        child(custom, "text", name=MARK[0], data=MARK[1])  # by which init reads it back
         world = child(self.root, "worldbody")
         self._links(world)
         self.tendons, self.actuators = child(self.root, "tendon"), child(self.root, "actuator")
@@ -355,7 +365,7 @@ class _Writer:
         if preload:
             sign = -math.copysign(1.0, preload)  # tau_t > 0 pulls the rotor back
             self._tendon(
-                f"preload.{joint}",
+                f"{PRELOAD}{joint}",
                 {f"{ROTOR}{joint}": sign, joint: -sign},
                 stiffness=PULL,
                 springlength=abs(preload) / PULL,
@@ -364,10 +374,10 @@ class _Writer:
         if creep is not None and creep.stiffness > 0.0:
             # Maxwell: a spring k and a damper k T in series; z is what stretches the spring
             damping = creep.stiffness * creep.time_constant
-            self._extra_hinge(world, f"creep.{joint}", armature=LIGHT * damping * self.step, damping=damping)
+            self._extra_hinge(world, f"{CREEP}{joint}", armature=LIGHT * damping * self.step, damping=damping)
             self._tendon(
-                f"creep.{joint}",
-                {f"{ROTOR}{joint}": 1.0, joint: -1.0, f"creep.{joint}": -1.0},
+                f"{CREEP}{joint}",
+                {f"{ROTOR}{joint}": 1.0, joint: -1.0, f"{CREEP}{joint}": -1.0},
                 stiffness=creep.stiffness,
                 springlength=0.0,
             )
@@ -391,7 +401,7 @@ class _Writer:
             }
             if cubic:
                 linear.update(stiffness=(0.0, 0.0, cubic), springlength=band)
-        self._tendon(f"spring.{joint}", {f"{ROTOR}{joint}": 1.0, joint: -1.0}, **linear)
+        self._tendon(f"{SPRING}{joint}", {f"{ROTOR}{joint}": 1.0, joint: -1.0}, **linear)
 
     def _inverse_inertia(self, joint: str, drive: Drive) -> float:
         """Of theta - q, where all positions are 0 [1/(kg m^2)]."""
@@ -419,7 +429,7 @@ class _Writer:
         if stop is None or stop.stiffness <= 0.0:
             return
         band = (-FAR, stop.position) if stop.position >= 0.0 else (stop.position, FAR)
-        self._tendon(f"stop.{joint}", {joint: 1.0}, stiffness=stop.stiffness, springlength=band)
+        self._tendon(f"{STOP}{joint}", {joint: 1.0}, stiffness=stop.stiffness, springlength=band)
 
     # --- actuators ------------------------------------------------------------------------------------------
     def _hinge(self, joint: str) -> str:
@@ -472,8 +482,8 @@ class _Writer:
                 shares[self._hinge(planned.joint)] = planned.p.share * own
         if not shares:
             return {"joint": self._hinge(joint)}
-        self._tendon(f"drive.{joint}", {self._hinge(joint): 1.0, **shares})
-        return {"tendon": f"drive.{joint}"}
+        self._tendon(f"{DRIVE}{joint}", {self._hinge(joint): 1.0, **shares})
+        return {"tendon": f"{DRIVE}{joint}"}
 
     def _passive(self, joint: str) -> None:
         """Motors without a command: the torques of their gears and bristles alone."""
@@ -491,7 +501,7 @@ class _Writer:
             )
         for effect, where in (
             ("dahl_friction", {"joint": self._hinge(joint)}),
-            ("spring_hysteresis", {"tendon": f"spring.{joint}"}),
+            ("spring_hysteresis", {"tendon": f"{SPRING}{joint}"}),
         ):
             loop = self.subject.find(effect, joint)
             if loop is None or loop.level <= 0.0:

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from flexjoint.core.errors import MissingExtraError, ModelError, SimulationError
-from flexjoint.export.mjcf import ROTOR
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.robot.numbers import floats
+from flexjoint.robot.reading.mjcf_drives import CREEP, ROTOR
 from flexjoint.simulation.loop import check_torque
 from flexjoint.simulation.options import DEFAULTS, RunOptions
 from flexjoint.simulation.trajectory import Past, Trajectory
@@ -69,7 +69,7 @@ class MujocoRun:
         found = [e for e in self.model.effects if e.key == ("spring_creep", name) and e.since is None]
         if not found or found[0].p.stiffness <= 0.0:
             return None
-        return self._place(f"creep.{name}")[0], self.model.slot("spring_creep", name)
+        return self._place(f"{CREEP}{name}")[0], self.model.slot("spring_creep", name)
 
     # --- states ---------------------------------------------------------------------------------------------
     def set(self, state: State) -> None:

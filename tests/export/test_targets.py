@@ -22,6 +22,7 @@ from flexjoint.effects import Planned, catalogue, effect
 from flexjoint.export.base import NUMBERS, UNMAPPED, Level, Target
 from flexjoint.export.targets import TARGETS, export_robot, exported, page
 from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.robot.draft import draft
 from flexjoint.robot.robot import Robot, load, shipped_robots
 
 
@@ -130,6 +131,123 @@ def test_shipped_robots_come_back_from_urdf_and_mjcf(name: str, tmp_path: Path) 
     same_body(arm, pin.buildModelFromUrdf(str(tmp_path / "arm.urdf")))
     export_robot(arm, "mjcf", tmp_path / "arm.xml")
     same_body(arm, pin.buildModelFromMJCF(str(tmp_path / "arm.xml")), armature=True)
+
+
+# --- what init reads of them --------------------------------------------------------------------------------
+def same_elements(text: str, other: str) -> None:
+    """The same tags with the same words and numbers; inertias, whose axes may be others, are left to
+    `same_body`, sites to Pinocchio's frames."""
+    one, two = (
+        [e for e in ElementTree.fromstring(xml).iter() if e.tag not in ("option", "site", "mujoco")]
+        for xml in (text, other)
+    )
+    assert [e.tag for e in one] == [e.tag for e in two]
+    for a, b in zip(one, two, strict=True):
+        if a.tag == "inertial":
+            continue
+        assert a.attrib.keys() == b.attrib.keys()
+        for key, value in a.attrib.items():
+            expected = numbers(value)
+            if not isinstance(expected, str):  # the last digits of what is scaled on the way may differ
+                expected = pytest.approx(expected, rel=1e-9, abs=1e-12)
+            assert numbers(b.attrib[key]) == expected, (a.tag, key)
+
+
+def numbers(text: str) -> Any:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return text
+
+
+def again(arm: Robot, folder: Path) -> Robot:
+    """The robot that `flexjoint init` makes of the exported MJCF."""
+    export_robot(arm, "mjcf", folder / "arm.xml")
+    out = folder / "arm.yaml"
+    out.write_text(draft(str(folder / "arm.xml"), out).text)
+    return load(out)
+
+
+@pytest.mark.parametrize("name", [*shipped_robots(), "grounded"])
+def test_init_reads_the_exported_mjcf_as_the_same_robot(name: str, tmp_path: Path) -> None:
+    arm = load("centauro", ["torso", "arms"]) if name == "grounded" else load(name)
+    back = again(arm, tmp_path)
+    assert back.joint_names == arm.joint_names and back.floating == arm.floating
+    for joint, own in zip(arm.joints, back.joints, strict=True):
+        assert own.torque_limit == joint.torque_limit
+        for key in ("K", "D", "B", "D_m"):
+            # the inverse inertia that scales the limit of a play is computed again
+            assert getattr(own.drive, key) == pytest.approx(getattr(joint.drive, key), rel=1e-9)
+    # what says the same with the same numbers in MuJoCo is the same machine
+    same_elements(exported(back, "mjcf").text, exported(arm, "mjcf").text)
+
+
+CARRIED = [name for name, way in TARGETS["mjcf"].effects.items() if way.level is Level.EXACT]
+
+
+@pytest.mark.parametrize("flexible", [True, False], ids=["flexible", "rigid"])
+def test_init_reads_back_every_exact_effect(flexible: bool, tmp_path: Path) -> None:
+    arm = make(
+        PLANAR, {} if flexible else {n: {"stiffness": math.inf, "damping": 0.0} for n in ("hip", "knee")}
+    )
+    merged = ("motor_inertia", "motor_viscous_friction", "spring_stiffness", "spring_damping", "base_tilt")
+    merged += ("payload", "asymmetric_friction", "torque_speed_limit")  # they have tests of their own
+    own = [e for e in one_of_each("knee") if e.effect.name in CARRIED and e.effect.name not in merged]
+    if not flexible:
+        at_motor = ("link_viscous_friction", "link_coulomb_friction")
+        own = [e for e in own if not e.effect.needs_spring and e.effect.name not in at_motor]
+    arm = arm.extended([*own, effect("backlash", "hip", gap=2e-3)] if flexible else own)
+    found = {e.key: e for e in again(arm, tmp_path).effects}
+    assert sorted(found) == sorted(e.key for e in arm.effects)
+    for planned in arm.effects:
+        for key, value in planned.values.items():
+            got = found[planned.key].values[key]
+            assert got == (value if isinstance(value, str | None) else pytest.approx(value, rel=1e-9)), (
+                planned
+            )
+
+
+def test_init_reads_what_an_exact_effect_has_become(tmp_path: Path) -> None:
+    arm = make(PLANAR).extended(
+        [
+            effect("motor_inertia", "hip", scale=0.5),
+            effect("spring_stiffness", "hip", scale=-0.2),
+            effect("motor_viscous_friction", "hip", coefficient=3.0),
+            effect("base_tilt", roll=0.1, pitch=0.2),
+            effect("payload", "knee", mass=0.5, position=(0.1, 0.0, -0.1)),
+            effect("asymmetric_friction", "knee", level_positive=0.5, level_negative=0.2),
+            effect("torque_speed_limit", "knee", stall=9.0, drop=0.5),
+        ]
+    )
+    back = again(arm, tmp_path)
+    hip = back.joint("hip").drive
+    assert (hip.K, hip.B, hip.D_m) == pytest.approx((640.0, 0.36, 15.0))
+    left = {e.effect.name: e.p for e in back.effects}
+    assert left.pop("asymmetric_friction") == pytest.approx((0.5, 0.2))
+    assert left.pop("torque_speed_limit") == pytest.approx((9.0, 0.5)) and left == {}
+    whole = FlexibleJointModel(arm).body
+    q = np.array([0.4, -0.7])
+    read = FlexibleJointModel(back).body
+    assert read.mass_matrix(q) == pytest.approx(whole.mass_matrix(q), rel=1e-9)
+    assert read.gravity_torque(q) == pytest.approx(whole.gravity_torque(q), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name in shipped_robots() if name != "centauro"])
+def test_init_reads_the_exported_urdf_as_the_rigid_robot(name: str, tmp_path: Path) -> None:
+    arm = load(name)
+    export_robot(arm, "urdf", tmp_path / "arm.urdf")
+    out = tmp_path / "arm.yaml"
+    out.write_text(draft(str(tmp_path / "arm.urdf"), out).text)
+    back = load(out)
+    same_body(arm, back.model)
+    model = FlexibleJointModel(arm)
+    viscous = {e.joint: e.p.coefficient for e in arm.effects if e.effect.name == "link_viscous_friction"}
+    dry = {e.joint: e.p.level for e in arm.effects if e.effect.name == "motor_coulomb_friction"}
+    for joint, flow in zip(back.joints, model.flows, strict=True):
+        expected = flow.drive.D_m + viscous.get(joint.name, 0.0)
+        assert joint.rigid and joint.drive.D_m == pytest.approx(expected, rel=1e-9)
+        assert joint.torque_limit == pytest.approx(flow.joint.torque_limit, rel=1e-9)
+    assert {e.joint: e.p.level for e in back.effects} == pytest.approx(dry, rel=1e-9)
 
 
 # --- the numbers of each file -------------------------------------------------------------------------------

@@ -166,3 +166,15 @@ def test_the_descriptions_of_shipped_robots_make_drafts(tmp_path: Path, name: st
     assert set(shipped.joint_names) <= set(loaded.joint_names) and all(j.rigid for j in loaded.joints)
     if name in ("kr300", "tx40"):
         assert np.array_equal(shipped.model.lowerPositionLimit, loaded.model.lowerPositionLimit)
+
+
+def test_small_numbers_are_numbers_to_yaml(tmp_path: Path) -> None:
+    path, out = tmp_path / "arm2.xml", tmp_path / "arm2.yaml"
+    joint = '<joint name="elbow" type="hinge" axis="0 1 0"'
+    path.write_text(
+        MJCF.format(free="").replace(joint, f'{joint} armature="6e-05" damping="7e-6" frictionloss="3e-05"')
+    )
+    out.write_text(draft(str(path), out).text)
+    loaded = robot.load(out)
+    elbow = loaded.joint("elbow")
+    assert (elbow.drive.B, elbow.drive.D_m, loaded.effects[0].p.level) == (6e-05, 7e-06, 3e-05)
