@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.core.messages import escaped
 from flexjoint.diagnosis.comparison.compare import Comparison, compared
 from flexjoint.diagnosis.result.wording import clean, number, unit_of
-from flexjoint.export.base import lines
+from flexjoint.effects import Planned
+from flexjoint.export.base import Level, lines
 from flexjoint.export.mujoco_run import MujocoRun
 from flexjoint.export.targets import Exported, exported, find
 from flexjoint.model.dynamics import FlexibleJointModel
@@ -24,10 +26,13 @@ from flexjoint.recording.checks import check
 from flexjoint.recording.clock import on_regular_clock
 from flexjoint.recording.currents import with_torques
 from flexjoint.recording.importing import read
+from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
+from flexjoint.simulation.options import Engine
 from flexjoint.simulation.simulate import torque_channel
 
 WIDTH = 100  # of a line
+Columns = tuple[Sequence[str], Sequence[Sequence[str]]]  # heads and rows of a table
 POSITIONS = ("q", "dq", "theta", "dtheta")  # channels that both simulations have
 
 
@@ -42,44 +47,100 @@ def run(arguments: argparse.Namespace) -> None:
     if robot.urdf is not None and out.exists() and out.samefile(robot.urdf):
         raise FlexJointError(f"cannot write {out}: it is the robot's own description; give another name")
     done = exported(robot, target.name)
-    loss = _loss(arguments, robot, done) if arguments.measure is not None else None
+    tables = _losses(arguments, robot, done) if arguments.measure is not None else ()
     done.write(out)
     for line in lines(done.account):
         print(textwrap.fill(clean(line), WIDTH, subsequent_indent="      "))
-    if loss is not None:
+    for table in tables:
         print()
-        print_table(Console(), *loss)
+        print_table(Console(), *table)
     print(f"wrote {escaped(str(out))}: {robot.name} for {target.title}")
 
 
-def _loss(
-    arguments: argparse.Namespace, robot: Robot, done: Exported
-) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """What the export costs, by channel: MuJoCo against our simulation, and that against the recording."""
+# --- what an export costs -----------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Windows:
+    """A recording, and the two simulations of it in windows."""
+
+    robot: Robot
+    recording: Recording
+    horizon: float
+    engine: Engine
+
+    def ours(self, effects: Sequence[Planned], engine: Engine | None = None) -> Comparison:
+        model = FlexibleJointModel(self.robot, effects)
+        return compared(model, self.recording, self.horizon, engine=engine or self.engine)
+
+    def theirs(self, effects: Sequence[Planned]) -> Comparison:
+        """In MuJoCo, of the file that these effects make; effects on readings act as in ours."""
+        model = FlexibleJointModel(self.robot, effects)
+        done = exported(replace(self.robot, effects=tuple(effects)), "mjcf")
+        return compared(model, self.recording, self.horizon, rollout=MujocoRun(done.text, model).rollout)
+
+
+def _losses(arguments: argparse.Namespace, robot: Robot, done: Exported) -> list[Columns]:
+    """What the export costs, by channel, and what each effect costs that is not exact."""
     recording = read(arguments.measure, mapping_of(arguments), robot).recording
     check(robot, recording)
-    model = FlexibleJointModel(robot)
-    mujoco = MujocoRun(done.text, model)
     recording = with_torques(robot, on_regular_clock(recording))
     if torque_channel(recording, robot.joint_names) is None:
         raise RecordingError(
             f"{recording.name}: expected tau_m or tau_motor of every joint, which drive both simulations;"
             " record them, or leave --measure out"
         )
-    ours = compared(model, recording, arguments.horizon, engine=arguments.engine)
-    theirs = compared(model, recording, arguments.horizon, rollout=mujoco.rollout)
+    windows = _Windows(robot, recording, arguments.horizon, arguments.engine)
+    ours = windows.ours(robot.effects)
+    return [_by_channel(windows, ours), *_by_effect(windows, done, ours)]
+
+
+def _by_channel(windows: _Windows, ours: Comparison) -> Columns:
+    """MuJoCo against our simulation, and that against the recording."""
     heads = (
-        f"{clean(recording.name)}, {ours.windows} windows of {ours.horizon:g} s",
+        f"{clean(windows.recording.name)}, {ours.windows} windows of {ours.horizon:g} s",
         "MuJoCo against flexjoint",
         "flexjoint against recording",
     )
-    found = differences(ours, theirs)
-    rows = []
-    for name, rms in found.items():
-        channel, _, joint = name.partition(".")
-        unit = unit_of(channel, joint in robot.prismatic)
-        rows.append((clean(name), f"{number(rms)} {unit}", f"{number(ours.rms[name])} {unit}"))
+    apart = differences(ours, windows.theirs(windows.robot.effects))
+    rows = [
+        (clean(name), _with_unit(rms, name, windows.robot), _with_unit(ours.rms[name], name, windows.robot))
+        for name, rms in apart.items()
+    ]
     return heads, rows
+
+
+def _by_effect(windows: _Windows, done: Exported, ours: Comparison) -> Iterator[Columns]:
+    """The largest error of a position for the exact effects together, for each near one added to these, and
+    for our simulation without each that is not expressible."""
+    effects = windows.robot.effects
+    levels = {(row.what, row.joint): row.way.level for row in done.account}
+    exact = [e for e in effects if levels[e.key] is Level.EXACT]
+    rest = {e.effect.name: levels[e.key] for e in effects if levels[e.key] is not Level.EXACT}
+    if not rest:
+        return
+    rows = [("all that is exact", str(Level.EXACT), _worst(windows, windows.ours(exact, "pin"), exact))]
+    for name, level in rest.items():
+        if level is Level.NEAR:
+            added = [e for e in effects if e in exact or e.effect.name == name]
+            rows.append((f"... and {name}", str(level), _worst(windows, windows.ours(added, "pin"), added)))
+        else:
+            left = windows.ours([e for e in effects if e.effect.name != name], "pin")
+            rows.append((f"without {name}", str(level), _largest(windows.robot, differences(ours, left))))
+    yield ("largest RMS error of a position", "", ""), rows
+
+
+def _worst(windows: _Windows, ours: Comparison, effects: Sequence[Planned]) -> str:
+    return _largest(windows.robot, differences(ours, windows.theirs(effects)))
+
+
+def _largest(robot: Robot, apart: Mapping[str, float]) -> str:
+    at = {name: rms for name, rms in apart.items() if name.startswith(("q.", "theta."))}
+    name = max(at, key=lambda key: at[key])
+    return f"{_with_unit(at[name], name, robot)} ({clean(name)})"
+
+
+def _with_unit(rms: float, name: str, robot: Robot) -> str:
+    channel, _, joint = name.partition(".")
+    return f"{number(rms)} {unit_of(channel, joint in robot.prismatic)}"
 
 
 def differences(ours: Comparison, theirs: Comparison) -> dict[str, float]:

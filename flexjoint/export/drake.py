@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from typing import ClassVar
 from xml.etree.ElementTree import Element
 
-from flexjoint.export.base import Way, absent, near
-from flexjoint.export.rigid import UNVERIFIED
+from flexjoint.export.base import Way, absent, exact, near
+from flexjoint.export.rigid import STALL
 from flexjoint.export.subject import Subject
 from flexjoint.export.urdf import Urdf
 from flexjoint.export.xml import child
 
 TAGS = "http://drake.mit.edu"  # the namespace of Drake's own elements
 NO_FRICTION = absent("Drake's joints have no dry friction")
+DAMPING = exact("dynamics damping, of motor and link together")
+EFFORT = near("limit effort, which Drake keeps as the actuator's; commands beyond it are for you to clip")
 
 
 class Drake(Urdf):
@@ -21,19 +23,24 @@ class Drake(Urdf):
     title = "Drake"
     numbers: ClassVar[Mapping[str, Way]] = {
         **Urdf.numbers,
-        "motor_inertia": near(f"drake:rotor_inertia and drake:gear_ratio of the actuator; {UNVERIFIED}"),
-        "gravity": near(f"the base is mounted on the world so that gravity points down z; {UNVERIFIED}"),
+        "motor_inertia": exact("drake:rotor_inertia and drake:gear_ratio of the actuator"),
+        "motor_damping": DAMPING,
+        "torque_limit": EFFORT,
+        "gravity": exact("the base is mounted on the world so that gravity points down z"),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **Urdf.effects,
         "asymmetric_friction": NO_FRICTION,
-        "base_tilt": near(f"the base is mounted on the world, turned; {UNVERIFIED}"),
-        "friction_drift": NO_FRICTION,
+        "base_tilt": exact("the base is mounted on the world, turned"),
         "link_coulomb_friction": NO_FRICTION,
+        "link_viscous_friction": DAMPING,
         "motor_coulomb_friction": NO_FRICTION,
-        "motor_inertia": near(f"drake:rotor_inertia; {UNVERIFIED}"),
-        "payload": near(f"in the link's inertial; {UNVERIFIED}"),
+        "motor_inertia": exact("drake:rotor_inertia of the actuator"),
+        "motor_viscous_friction": DAMPING,
+        "payload": exact("in the link's inertial"),
         "stribeck_friction": NO_FRICTION,
+        "torque_saturation": EFFORT,
+        "torque_speed_limit": near(f"limit effort {STALL}"),
     }
 
     def fill(self, root: Element, subject: Subject) -> None:

@@ -34,7 +34,6 @@ class IsaacLab(Target):
         **NOTHING,
         "asymmetric_friction": near(f"friction of the mean level; {UNVERIFIED}"),
         "base_tilt": absent("it belongs to the scene: turn the robot's init_state"),
-        "friction_drift": near(f"friction of the level at the start; {UNVERIFIED}"),
         "link_coulomb_friction": DRY,
         "link_viscous_friction": VISCOUS,
         "motor_coulomb_friction": DRY,

@@ -39,9 +39,11 @@ from flexjoint.simulation.schemes.modes import linearised
 
 SPECK = 1e-12  # kg and kg m^2: MuJoCo wants some of each moving body
 FAR = 1e9  # rad, where a dead band ends that has one edge
-RESOLVED = 0.5  # largest |lambda| h of the springs at the file's step h; above 2 it is unstable
+RESOLVED = 0.5  # largest |lambda| h of springs and dampers at the file's step h; RK4 is stable up to 2.8
+SLOW = 2.0  # steps in a lag's time constant, below which it is integrated as an exponential
 STEPS = 1000  # steps at most into which the robot's own is divided
-LIGHT = 1e-6  # share of a creeping damper's reach in one step that its mass delays
+LIGHT = 2.0  # steps by which the mass of a creeping damper is late: a lighter one would be unstable
+FAINT = "1e-9 1e-9"  # N m/A: a motor constant, of which MuJoCo wants some; it brakes by its square
 STICK = "0.9999 0.9999 0.001 0.5 2"  # the hardest that MuJoCo's solver takes: what rests creeps least
 COMMANDS = ("current_lag", "torque_saturation", "torque_speed_limit")  # that a ripple passes through
 LATER = "MuJoCo {} or newer"
@@ -76,13 +78,13 @@ class Mjcf(Target):
         "breakaway_friction": absent("it wears off as the joint travels; MuJoCo's friction has no memory"),
         "cable_spring": exact("stiffness and springref of the link's hinge"),
         "cogging": exact(f"cogging of a passive dcmotor ({PASSIVE})"),
-        "current_lag": exact("dyntype filterexact of the actuator"),
+        "current_lag": exact("dyntype filter of the actuator"),
         "dahl_friction": exact(f"lugre of a passive dcmotor, without its damping ({PASSIVE})"),
         "drive_efficiency": absent("MuJoCo's friction knows no load"),
         "encoder_eccentricity": absent("MuJoCo's sensors read true; add it to what you read"),
         "encoder_ripple": absent("MuJoCo's sensors read true; add it to what you read"),
         "end_stop": exact("tendon of the link's hinge with its stiffness and a dead band up to the stop"),
-        "friction_drift": near("frictionloss of the level at the start, which does not fade"),
+        "friction_drift": absent("a file knows no time: it fades, as the joint warms up"),
         "hardening_spring": exact(f"cubic stiffness of the tendon that is the spring ({POLYNOMIAL})"),
         "joint_coupling": exact("the neighbour's actuator pulls a tendon of both hinges"),
         "link_coulomb_friction": exact("frictionloss of the link's hinge"),
@@ -175,11 +177,9 @@ def neighbour(robot: Robot, coupling: Planned) -> str | None:
 
 
 def timestep(model: FlexibleJointModel) -> float:
-    """The robot's own step [s], divided until the springs are resolved: MuJoCo's are explicit."""
+    """The robot's own step [s], divided until springs and dampers are resolved."""
     own = 1.0 / model.robot.rates.physics
-    fastest = 0.0
-    if model.flexible:
-        fastest = float(np.max(np.abs(np.linalg.eigvals(linearised(model, model.rest())))))
+    fastest = float(np.max(np.abs(np.linalg.eigvals(linearised(model, model.rest())))))
     inverse = np.diag(model.body.inverse_mass_matrix(model.body.neutral, np.zeros(model.nv)))
     for planned in model.effects:
         if planned.effect.name in ("cable_spring", "end_stop", "hardening_spring") and planned.joint:
@@ -208,7 +208,7 @@ class _Writer:
             self.root,
             "option",
             timestep=self.step,
-            integrator="implicitfast",
+            integrator="RK4",
             gravity=self.subject.gravity,
         )
         custom = child(self.root, "custom")
@@ -235,7 +235,7 @@ class _Writer:
         yield "There are no shapes: nothing to see, and no contacts."
         if self.step < 1.0 / self.robot.rates.physics:
             own = 1.0 / self.robot.rates.physics
-            yield f"The step is shorter than the robot's, {own:g} s: springs are explicit in MuJoCo."
+            yield f"The step is shorter than the robot's, {own:g} s, so that its springs are resolved."
         for link in self.raised:
             yield f"inertia of {link}: near: no body has it; its smaller moments are raised until one has"
         yield "How well MuJoCo carries numbers and effects, and by what:"
@@ -316,10 +316,7 @@ class _Writer:
     def _rubbing(self, joint: str) -> tuple[float, float]:
         """Level of a motor's dry friction, and the constant torque of one that differs between directions."""
         number = self.subject.number
-        level = sum(
-            number(name, joint, "level")
-            for name in ("motor_coulomb_friction", "stribeck_friction", "friction_drift")
-        )
+        level = sum(number(name, joint, "level") for name in ("motor_coulomb_friction", "stribeck_friction"))
         forth = number("asymmetric_friction", joint, "level_positive")
         back = number("asymmetric_friction", joint, "level_negative")
         return level + 0.5 * (forth + back), 0.5 * (back - forth)
@@ -456,10 +453,13 @@ class _Writer:
         if offset:
             attributes.update(biastype="affine", biasprm=(offset, 0.0, 0.0))
         if lag > 0.0:
-            attributes.update(dyntype="filterexact", dynprm=lag, actearly=True)
+            kind = "filter" if lag > SLOW * self.step else "filterexact"
+            attributes.update(dyntype=kind, dynprm=lag)
         if delay > 0.0:
-            samples = math.ceil(delay / self.step - 1e-9) + 1
-            attributes.update(delay=delay, nsample=str(samples), interp="linear")
+            # linear between commands that are held: half a step later than these
+            late = delay + 0.5 * self.step
+            samples = math.ceil(late / self.step - 1e-9) + 1
+            attributes.update(delay=late, nsample=str(samples), interp="linear")
         beside = {e.effect.name for e in self.subject.effects if e.joint == joint}
         line = self.subject.find("torque_speed_limit", joint)
         if line is None or not _limited_by_speed(beside, line):
@@ -487,7 +487,7 @@ class _Writer:
 
     def _passive(self, joint: str) -> None:
         """Motors without a command: the torques of their gears and bristles alone."""
-        motor = {"input": "none", "motorconst": "0 0", "resistance": "1"}
+        motor = {"input": "none", "motorconst": FAINT, "resistance": "1"}
         cogging = self.subject.find("cogging", joint)
         if cogging is not None and cogging.amplitude > 0.0:
             wave = (_gain(self.robot, joint) * cogging.amplitude, cogging.cycles, cogging.phase)

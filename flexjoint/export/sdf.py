@@ -17,6 +17,7 @@ from flexjoint.export.urdf import heading
 from flexjoint.export.xml import child, text, whole
 
 VERSION = "1.9"  # of the format
+READ = "Drake reads it so; not verified in Gazebo"
 
 
 class Sdf(Mounted):
@@ -26,28 +27,27 @@ class Sdf(Mounted):
     numbers: ClassVar[Mapping[str, Way]] = {
         "spring": absent("joints are rigid there"),
         "motor_inertia": absent("SDF has no armature"),
-        "motor_damping": near(f"dynamics damping, with that of the link; {UNVERIFIED}"),
-        "torque_limit": near(f"limit effort; {UNVERIFIED}"),
+        "motor_damping": near(f"dynamics damping, with that of the link; {READ}"),
+        "torque_limit": near(f"limit effort; {READ}"),
         "controller": absent("no plugin is written"),
         "sensing_delay": absent("no plugin is written"),
-        "gravity": near(f"the base is mounted in the world so that gravity points down z; {UNVERIFIED}"),
+        "gravity": near(f"the base is mounted in the world so that gravity points down z; {READ}"),
         "contacts": absent("no collision shapes are written"),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **NOTHING,
         "asymmetric_friction": near(f"dynamics friction of the mean level; {UNVERIFIED}"),
-        "base_tilt": near(f"the base is mounted in the world, turned; {UNVERIFIED}"),
-        "cable_spring": near(f"dynamics spring_stiffness and spring_reference; {UNVERIFIED}"),
-        "friction_drift": near(f"dynamics friction of the level at the start; {UNVERIFIED}"),
+        "base_tilt": near(f"the base is mounted in the world, turned; {READ}"),
+        "cable_spring": near(f"dynamics spring_stiffness and spring_reference; {READ}"),
         "link_coulomb_friction": near(f"dynamics friction; {UNVERIFIED}"),
-        "link_viscous_friction": near(f"dynamics damping; {UNVERIFIED}"),
+        "link_viscous_friction": near(f"dynamics damping; {READ}"),
         "motor_coulomb_friction": near(f"dynamics friction; {UNVERIFIED}"),
         "motor_inertia": absent("SDF has no armature"),
-        "motor_viscous_friction": near(f"dynamics damping; {UNVERIFIED}"),
-        "payload": near(f"in the link's inertial; {UNVERIFIED}"),
+        "motor_viscous_friction": near(f"dynamics damping; {READ}"),
+        "payload": near(f"in the link's inertial; {READ}"),
         "stribeck_friction": near(f"dynamics friction, without what it has more near rest; {UNVERIFIED}"),
-        "torque_saturation": near(f"limit effort; {UNVERIFIED}"),
-        "torque_speed_limit": near(f"limit effort {STALL}; {UNVERIFIED}"),
+        "torque_saturation": near(f"limit effort; {READ}"),
+        "torque_speed_limit": near(f"limit effort {STALL}; {READ}"),
     }
 
     def write(self, subject: Subject, account: tuple[Row, ...]) -> str:

@@ -114,7 +114,6 @@ class Subject:
                 "motor_coulomb_friction",
                 "link_coulomb_friction",
                 "stribeck_friction",
-                "friction_drift",
             )
         )
 

@@ -11,14 +11,15 @@ import pinocchio as pin
 
 from flexjoint.core.errors import RobotError
 from flexjoint.export.base import Row, Way, absent, exact, lines, near
-from flexjoint.export.rigid import NOTHING, STALL, UNVERIFIED, Mounted
+from flexjoint.export.rigid import NOTHING, STALL, Mounted
 from flexjoint.export.subject import WORLD, Body, Subject
 from flexjoint.export.xml import child, whole
 from flexjoint.robot.robot import Robot
 
 ENDLESS = 1e9  # a limit that is none, as URDF wants one
-DAMPING = near(f"dynamics damping; {UNVERIFIED}")
-FRICTION = near(f"dynamics friction; {UNVERIFIED}")
+READ = "MuJoCo reads it so; others were not tried"
+DAMPING = near(f"dynamics damping, of motor and link together; {READ}")
+FRICTION = near(f"dynamics friction, of motor and link together; {READ}")
 
 
 class Urdf(Mounted):
@@ -28,8 +29,8 @@ class Urdf(Mounted):
     numbers: ClassVar[Mapping[str, Way]] = {
         "spring": absent("joints are rigid there"),
         "motor_inertia": absent("a URDF has no armature; give the simulator motor_inertia of the robot file"),
-        "motor_damping": near(f"dynamics damping, with that of the link; {UNVERIFIED}"),
-        "torque_limit": near(f"limit effort; {UNVERIFIED}"),
+        "motor_damping": DAMPING,
+        "torque_limit": near(f"limit effort; {READ}"),
         "controller": absent("a URDF has no controller"),
         "sensing_delay": absent("a URDF has no controller"),
         "gravity": exact("the base is mounted on a link world so that gravity points down z"),
@@ -37,18 +38,17 @@ class Urdf(Mounted):
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **NOTHING,
-        "asymmetric_friction": near(f"dynamics friction of the mean level; {UNVERIFIED}"),
+        "asymmetric_friction": near(f"dynamics friction of the mean level; {READ}"),
         "base_tilt": exact("the base is mounted on a link world, turned"),
-        "friction_drift": near(f"dynamics friction of the level at the start; {UNVERIFIED}"),
         "link_coulomb_friction": FRICTION,
         "link_viscous_friction": DAMPING,
         "motor_coulomb_friction": FRICTION,
         "motor_inertia": absent("a URDF has no armature"),
         "motor_viscous_friction": DAMPING,
         "payload": exact("in the link's inertial"),
-        "stribeck_friction": near(f"dynamics friction, without what it has more near rest; {UNVERIFIED}"),
-        "torque_saturation": near(f"limit effort; {UNVERIFIED}"),
-        "torque_speed_limit": near(f"limit effort {STALL}; {UNVERIFIED}"),
+        "stribeck_friction": near(f"dynamics friction, without what it has more near rest; {READ}"),
+        "torque_saturation": near(f"limit effort; {READ}"),
+        "torque_speed_limit": near(f"limit effort {STALL}; {READ}"),
     }
 
     def write(self, subject: Subject, account: tuple[Row, ...]) -> str:

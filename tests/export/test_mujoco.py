@@ -29,8 +29,9 @@ mujoco = pytest.importorskip("mujoco")
 TICK = 500.0  # Hz, at which torques change
 TICKS = 250
 FINE = 12  # our own steps in a tick
-COARSE, SHORT = 2, 8  # MuJoCo's steps in a tick: both of order 1, so a quarter of the error is left
-SHRINKS = 0.35  # a quarter, and room for what our own steps err and for kinks between steps
+COARSE, SHORT = 2, 8  # MuJoCo's steps in a tick
+SHRINKS = 0.35  # a quarter where MuJoCo is of order 1 (bristles, creep), and room for kinks between steps
+FLOOR = 3e-6  # rad: dry friction creeps by 1e-4 of what pushes it in MuJoCo, and our own steps are finite
 NEAR_SHARE = 0.2  # of what an effect does that may be missing of one that is carried nearly
 SIZES: dict[str, dict[str, Any]] = {  # that matter in this motion
     "asymmetric_friction": {"level_positive": 1.2, "level_negative": 0.4},
@@ -41,7 +42,6 @@ SIZES: dict[str, dict[str, Any]] = {  # that matter in this motion
     "current_lag": {"time_constant": 8e-3},
     "dahl_friction": {"level": 1.0, "scale": 5e-3},
     "end_stop": {"position": 0.02, "stiffness": 500.0},
-    "friction_drift": {"level": 1.0, "time_constant": 2.0},
     "hardening_spring": {"cubic": 1e8},
     "joint_coupling": {"share": 0.3, "side": "before"},
     "link_coulomb_friction": {"level": 1.0},
@@ -120,15 +120,14 @@ def test_the_difference_shrinks_with_the_step(name: str, flexible: bool) -> None
     arm = robot(flexible, *planned)
     truth = ours(arm)
     coarse, short = (rms(theirs(arm, steps) - truth) for steps in (COARSE, SHORT))
-    # semi-implicit Euler at 1 kHz, on motions of some 0.1 rad
-    assert coarse < (1e-3 if not name or Mjcf().judge(arm, planned[0]).level is Level.EXACT else 2e-3)
     if not name:
-        assert short < SHRINKS * coarse
+        # RK4 at 1 kHz against our midpoint rule at 6 kHz, on motions of 0.1 rad
+        assert coarse < 1e-7 and short < 1e-7
         return
     matters = rms(truth - without_effects(flexible))
     if Mjcf().judge(arm, planned[0]).level is Level.EXACT:
-        assert short < SHRINKS * coarse
-        assert short < 0.5 * matters  # leaving the effect out would be seen
+        assert coarse < 1e-4 and short < max(SHRINKS * coarse, FLOOR)
+        assert short < 0.1 * matters  # leaving the effect out would be seen
     else:
         assert short < NEAR_SHARE * matters
 
@@ -157,7 +156,7 @@ def test_effects_go_together() -> None:
     arm = arm.extended([effect("joint_coupling", "hip", share=0.0, side="after")])
     truth = ours(arm)
     coarse, short = (rms(theirs(arm, steps) - truth) for steps in (COARSE, SHORT))
-    assert short < SHRINKS * coarse and coarse < 5e-4
+    assert short < max(SHRINKS * coarse, FLOOR) and coarse < 1e-4
 
 
 def test_gains_and_a_coupled_neighbour() -> None:
@@ -170,7 +169,7 @@ def test_gains_and_a_coupled_neighbour() -> None:
     )
     truth = ours(arm)
     coarse, short = (rms(theirs(arm, steps) - truth) for steps in (COARSE, SHORT))
-    assert short < SHRINKS * coarse and coarse < 5e-4
+    assert short < max(SHRINKS * coarse, FLOOR) and coarse < 1e-4
 
 
 def test_readings_are_late_in_the_sensors() -> None:
@@ -274,9 +273,9 @@ def test_a_floating_base_falls_as_ours_does() -> None:
     expected = rollout(
         model, start, np.repeat(torque, FINE, axis=0), RunOptions(rate=TICK * FINE, engine="pin")
     )
-    # in 0.2 s of free fall semi-implicit Euler is g h t / 2 = 2.5e-4 m ahead
-    assert got.q[-1] == pytest.approx(expected.q[-1], abs=3e-4)
-    assert got.v[-1] == pytest.approx(expected.v[-1], abs=2e-3)
+    # ours is of order 2 at 6 kHz, but of order 1 in the attitude of a base that tumbles
+    assert got.q[-1] == pytest.approx(expected.q[-1], abs=2e-5)
+    assert got.v[-1] == pytest.approx(expected.v[-1], abs=2e-4)
 
 
 def test_an_inertia_that_no_body_has_is_raised_and_said() -> None:

@@ -124,6 +124,27 @@ def test_pinocchio_reads_the_urdf_as_the_same_machine(target: str, tmp_path: Pat
     same_body(arm, pin.buildModelFromUrdf(str(out)))
 
 
+def test_mujoco_reads_the_urdf_as_the_same_machine(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    arm = load("kr300")
+    export_robot(arm, "urdf", tmp_path / "arm.urdf")
+    engine = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.urdf"))
+    data, model = mujoco.MjData(engine), FlexibleJointModel(arm)
+    q = np.array([0.3, -0.2, 0.4, 0.1, -0.5, 0.7])
+    data.qpos[:] = q
+    mujoco.mj_forward(engine, data)
+    mass = np.zeros((6, 6))
+    mujoco.mj_fullM(engine, data, mass)
+    expected = model.body.mass_matrix(q)
+    assert mass == pytest.approx(expected, abs=1e-9 * float(np.max(expected)))
+    gravity = model.body.gravity_torque(q)
+    assert data.qfrc_bias == pytest.approx(gravity, abs=1e-9 * float(np.max(np.abs(gravity))))
+    assert engine.dof_damping == pytest.approx([flow.drive.D_m for flow in model.flows])
+    dry = {e.joint: e.p.level for e in arm.effects if e.effect.name == "motor_coulomb_friction"}
+    assert engine.dof_frictionloss == pytest.approx([dry[name] for name in arm.joint_names])
+    assert engine.jnt_actfrcrange[:, 1] == pytest.approx([joint.torque_limit for joint in arm.joints])
+
+
 @pytest.mark.parametrize("name", [name for name in shipped_robots() if name != "centauro"])
 def test_shipped_robots_come_back_from_urdf_and_mjcf(name: str, tmp_path: Path) -> None:
     arm = load(name)

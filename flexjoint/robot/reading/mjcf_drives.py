@@ -55,12 +55,12 @@ class _Reader:
         self.tendons = {e.get("name", ""): e for e in root.findall("tendon/fixed")}
         commanded = [*root.findall("actuator/general"), *root.findall("actuator/dcmotor")]
         self.motors = {e.get("name", ""): e for e in commanded}
+        self.step = self._number(root.find("option"), "timestep") or 1e-3
         self.names = [e.get("name", "") for e in root.findall("actuator/*") if e.get("input") != "none"]
 
     def drives(self) -> Drives:
         option = self.root.find("option")
         gravity = self._numbers(option, "gravity", (3,)) or [0.0, 0.0, -9.81]
-        step = self._number(option, "timestep") or 1e-3
         joints, effects = {}, []
         for name in self.names:
             if name not in self.hinges:
@@ -72,7 +72,7 @@ class _Reader:
             effects += [
                 {"effect": effect, "joint": name, **values} for effect, values in self._effects(name, rotor)
             ]
-        return Drives(joints, effects, (gravity[0], gravity[1], gravity[2]), 1.0 / step)
+        return Drives(joints, effects, (gravity[0], gravity[1], gravity[2]), 1.0 / self.step)
 
     # --- numbers --------------------------------------------------------------------------------------------
     def _numbers(self, element: Element | None, key: str, counts: tuple[int, ...] = ()) -> list[float]:
@@ -194,10 +194,12 @@ class _Reader:
             ("torque_offset", "biasprm", 0, "offset"),
             ("torque_saturation", "forcerange", 1, "limit"),
             ("current_lag", "dynprm", 0, "time_constant"),
-            ("torque_delay", "delay", 0, "delay"),
         ):
             if self._number(motor, key, place):
                 yield effect, {number: self._number(motor, key, place)}
+        late = self._number(motor, "delay")
+        if late > 0.0:  # half a step of it is that commands are held
+            yield "torque_delay", {"delay": max(late - 0.5 * self.step, 0.0)}
         wave = self._numbers(self.motors.get(f"cogging.{name}"), "cogging", (3,))
         if wave and gain:
             yield "cogging", {"amplitude": wave[0] / gain, "cycles": wave[1], "phase": wave[2]}
