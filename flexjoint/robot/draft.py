@@ -128,12 +128,15 @@ def _drives(model: pin.Model, description: robot_description.Description) -> Dri
     """The drives of an MJCF that was exported, None of any other description."""
     if description.kind != "mjcf":
         return None
+    where = f"MJCF {description.path}"
     inverse = np.diag(pin.computeMinverse(model, model.createData(), pin.neutral(model)))
-    return mjcf_drives.read(
-        xml_file.read(description.path),
-        f"MJCF {description.path}",
-        lambda joint: float(inverse[model.joints[model.getJointId(joint)].idx_v]),
-    )
+
+    def inverse_inertia(joint: str) -> float:
+        if not model.existJointName(joint):
+            raise RobotError(f"{where}: {unknown('joint', joint, list(model.names)[1:])}; export it anew")
+        return float(inverse[model.joints[model.getJointId(joint)].idx_v])
+
+    return mjcf_drives.read(xml_file.read(description.path), where, inverse_inertia)
 
 
 def _joints(model: pin.Model, urdf: str, seen: Seen | None, source: str, drives: Drives | None) -> _Joints:
@@ -324,6 +327,6 @@ def _notes(robot: Robot, joints: _Joints) -> Iterator[str]:
     if light:
         names = ", ".join(light)
         yield f"nothing resists the torque of {names}: no inertia in the description; give motor_inertia"
-    lost = [joint for joint in robot.joint_names if joints.number("effortLimit", joint) == 0.0]
+    lost = [joint.name for joint in robot.joints if math.isinf(joint.torque_limit)]
     if lost:
         yield f"no torque limit of {', '.join(lost)}"
