@@ -17,7 +17,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from flexjoint.effects import Drive, Planned
+from flexjoint.core.errors import RobotError
+from flexjoint.effects import Drive, Planned, Site
 from flexjoint.export.base import Level, Row, Target, Way, absent, exact, lines, near
 from flexjoint.export.rigid import STALL
 from flexjoint.export.subject import Body, Subject
@@ -29,6 +30,7 @@ from flexjoint.robot.reading.mjcf_drives import (
     MARK,
     PRELOAD,
     PULL,
+    RK4,
     ROTOR,
     SOFT,
     SPRING,
@@ -38,11 +40,14 @@ from flexjoint.robot.robot import Robot
 from flexjoint.simulation.schemes.modes import linearised
 
 SPECK = 1e-12  # kg and kg m^2: MuJoCo wants some of each moving body
+IMPLICIT = "implicitfast"
 FAR = 1e9  # rad, where a dead band ends that has one edge
 RESOLVED = 0.5  # largest |lambda| h of springs and dampers at the file's step h; RK4 is stable up to 2.8
 SLOW = 2.0  # steps in a lag's time constant, below which it is integrated as an exponential
+MORE = 8  # times as many steps for dampers as for springs, from which on RK4 is not taken
 STEPS = 1000  # steps at most into which the robot's own is divided
 LIGHT = 2.0  # steps by which the mass of a creeping damper is late: a lighter one would be unstable
+STIFF = ("cable_spring", "end_stop", "spring_creep", "spring_hysteresis", "dahl_friction")
 FAINT = "1e-9 1e-9"  # N m/A: a motor constant, of which MuJoCo wants some; it brakes by its square
 STICK = "0.9999 0.9999 0.001 0.5 2"  # the hardest that MuJoCo's solver takes: what rests creeps least
 COMMANDS = ("current_lag", "torque_saturation", "torque_speed_limit")  # that a ripple passes through
@@ -176,16 +181,43 @@ def neighbour(robot: Robot, coupling: Planned) -> str | None:
     return names[place] if 0 <= place < len(names) else None
 
 
-def timestep(model: FlexibleJointModel) -> float:
-    """The robot's own step [s], divided until springs and dampers are resolved."""
+def stepping(model: FlexibleJointModel) -> tuple[str, float]:
+    """Integrator and step [s]: the robot's own step, divided until springs are resolved. RK4 has to resolve
+    dampers, too; where these take many more steps, implicitfast is taken, to which they do not matter."""
     own = 1.0 / model.robot.rates.physics
-    fastest = float(np.max(np.abs(np.linalg.eigvals(linearised(model, model.rest())))))
-    inverse = np.diag(model.body.inverse_mass_matrix(model.body.neutral, np.zeros(model.nv)))
+    size = model.nv + model.nf
+    rates = linearised(model, model.rest())
+    springs = np.linalg.eigvals(rates[size:, :size])  # minus the squares of the undamped frequencies
+    undamped = max(math.sqrt(float(np.max(np.abs(springs)))), _of_effects(model))
+    damped = max(float(np.max(np.abs(np.linalg.eigvals(rates)))), undamped)
+    few, many = (min(max(math.ceil(own * x / RESOLVED - 1e-9), 1), STEPS) for x in (undamped, damped))
+    return (RK4, own / many) if many <= MORE * few else (IMPLICIT, own / few)
+
+
+def _of_effects(model: FlexibleJointModel) -> float:
+    """The fastest frequency that an effect's own stiffness makes [rad/s]."""
+    fastest = 0.0
+    inverse = inverse_inertias(model)
     for planned in model.effects:
-        if planned.effect.name in ("cable_spring", "end_stop", "hardening_spring") and planned.joint:
-            stiffness = getattr(planned.p, "stiffness", 0.0)
-            fastest = max(fastest, math.sqrt(stiffness * inverse[model.robot.joint(planned.joint).idx_v]))
-    return own / min(max(math.ceil(own * fastest / RESOLVED - 1e-9), 1), STEPS)
+        if planned.joint is None or planned.effect.name not in STIFF:
+            continue
+        joint, p = model.robot.joint(planned.joint), planned.p
+        flow = model.flows[model.robot.joint_names.index(joint.name)]
+        motor = 0.0 if joint.rigid else 1.0 / (flow.drive.B + SPECK)
+        on_link = planned.effect.site is not Site.MOTOR or joint.rigid
+        on_motor = planned.effect.site is not Site.LINK
+        stiffness = p.level / p.scale if hasattr(p, "scale") else p.stiffness
+        mobility = on_link * inverse[joint.idx_v] + on_motor * motor
+        fastest = max(fastest, math.sqrt(stiffness * mobility))
+    return fastest
+
+
+def inverse_inertias(model: FlexibleJointModel) -> np.ndarray:
+    """(nv,) of the links about their joints, where all positions are 0, with the rotors of rigid joints."""
+    armature = np.zeros(model.nv)
+    for i in model.rigid:
+        armature[model.joints[i].idx_v] = model.flows[i].drive.B
+    return np.asarray(np.diag(model.body.inverse_mass_matrix(model.body.neutral, armature)))
 
 
 class _Writer:
@@ -193,7 +225,7 @@ class _Writer:
 
     def __init__(self, subject: Subject) -> None:
         self.subject, self.robot = subject, subject.robot
-        self.step = timestep(subject.model)
+        self.integrator, self.step = stepping(subject.model)
         self.payloads = {
             str(e.joint): e.p for e in subject.effects if e.effect.name == "payload" and e.p.mass > 0.0
         }
@@ -208,7 +240,7 @@ class _Writer:
             self.root,
             "option",
             timestep=self.step,
-            integrator="RK4",
+            integrator=self.integrator,
             gravity=self.subject.gravity,
         )
         custom = child(self.root, "custom")
@@ -402,16 +434,14 @@ class _Writer:
 
     def _inverse_inertia(self, joint: str, drive: Drive) -> float:
         """Of theta - q, where all positions are 0 [1/(kg m^2)]."""
-        model = self.subject.model
-        armature = np.zeros(model.nv)
-        for i in model.rigid:
-            armature[model.joints[i].idx_v] = model.flows[i].drive.B
-        inverse = model.body.inverse_mass_matrix(model.body.neutral, armature)
         place = self.robot.joint(joint).idx_v
-        return float(inverse[place, place]) + 1.0 / (drive.B + SPECK)
+        return float(inverse_inertias(self.subject.model)[place]) + 1.0 / (drive.B + SPECK)
 
-    @staticmethod
-    def _extra_hinge(world: Element, name: str, **attributes: object) -> None:
+    def _extra_hinge(self, world: Element, name: str, **attributes: object) -> None:
+        if self.robot.model.existJointName(name):
+            raise RobotError(
+                f"{self.robot.name}: joint {name} has the name of a hinge that the file needs; rename it"
+            )
         body = child(world, "body", name=name)
         child(body, "joint", name=name, type="hinge", axis="0 0 1", **attributes)
         child(body, "inertial", pos="0 0 0", mass=SPECK, diaginertia=(SPECK,) * 3)
@@ -456,8 +486,8 @@ class _Writer:
             kind = "filter" if lag > SLOW * self.step else "filterexact"
             attributes.update(dyntype=kind, dynprm=lag)
         if delay > 0.0:
-            # linear between commands that are held: half a step later than these
-            late = delay + 0.5 * self.step
+            # RK4 looks in between, linearly where commands are held: half a step later than these
+            late = delay + 0.5 * self.step * (self.integrator == RK4)
             samples = math.ceil(late / self.step - 1e-9) + 1
             attributes.update(delay=late, nsample=str(samples), interp="linear")
         beside = {e.effect.name for e in self.subject.effects if e.joint == joint}

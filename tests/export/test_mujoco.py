@@ -12,10 +12,10 @@ import pinocchio as pin
 import pytest
 from support.arms import PLANAR, SPATIAL, make, waves
 
-from flexjoint.core.errors import ModelError, RobotError
+from flexjoint.core.errors import MissingExtraError, ModelError, RobotError
 from flexjoint.effects import Planned, catalogue, effect
 from flexjoint.export.base import Level
-from flexjoint.export.mjcf import Mjcf, timestep
+from flexjoint.export.mjcf import Mjcf, stepping
 from flexjoint.export.mujoco_run import MujocoRun
 from flexjoint.export.targets import exported
 from flexjoint.model.dynamics import FlexibleJointModel
@@ -292,13 +292,51 @@ def test_an_inertia_that_no_body_has_is_raised_and_said() -> None:
 # --- steps and refusals -------------------------------------------------------------------------------------
 def test_a_stiff_spring_gets_a_shorter_step() -> None:
     soft, stiff = make(PLANAR), make(PLANAR, {"knee": {"stiffness": 1e6}})
-    assert timestep(FlexibleJointModel(soft)) == 1e-3
-    step = timestep(FlexibleJointModel(stiff))
+    assert stepping(FlexibleJointModel(soft)) == ("RK4", 1e-3)
+    integrator, step = stepping(FlexibleJointModel(stiff))
+    assert integrator == "RK4"
     assert step < 2e-4 and (1e-3 / step) == pytest.approx(round(1e-3 / step))
     assert "The step is shorter" in exported(stiff, "mjcf").text
     model = FlexibleJointModel(stiff)
     tape = MujocoRun(exported(stiff, "mjcf").text, model).rollout(model, model.rest(), waves(2, 100, 1e3))
     assert np.max(np.abs(tape.q)) < 1.0
+
+
+def test_heavy_dampers_on_light_joints_are_taken_implicitly() -> None:
+    """RK4 would need 200 steps in one of the robot's."""
+    arm = make(PLANAR, {name: {**RIGID[name], "motor_damping": 3e3, "motor_inertia": 0.0} for name in RIGID})
+    arm = arm.extended([effect("torque_delay", "knee", delay=4e-3)])
+    model = FlexibleJointModel(arm)
+    assert stepping(model) == ("implicitfast", 1e-3)
+    text = exported(arm, "mjcf").text
+    assert 'delay="0.004"' in text
+    torque = 100.0 * waves(2, 200, 1e3)
+    got = MujocoRun(text, model).rollout(model, model.rest(), torque)
+    expected = rollout(model, model.rest(), torque, RunOptions(engine="pin"))
+    # it creeps by 0.03 rad; a step of 1 ms is some percent of its 0.2 s
+    ours = expected.q[expected.first :]
+    assert got.q[got.first :] == pytest.approx(ours, abs=1e-3) and np.ptp(ours) > 1e-2
+
+
+def test_a_joint_called_as_a_rotor_is_refused() -> None:
+    model = sliding()
+    model.names[2] = "rotor.slide"
+    with pytest.raises(RobotError, match=r"joint rotor\.slide has the name of a hinge that the file needs"):
+        exported(Robot.from_model(model, stiffness=500.0, motor_inertia=0.2), "mjcf")
+
+
+def test_without_mujoco_nothing_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = make(PLANAR)
+    monkeypatch.setattr("flexjoint.export.mujoco_run.available", lambda: False)
+    with pytest.raises(MissingExtraError, match=r"pip install 'flexjoint\[mujoco\]'"):
+        MujocoRun(exported(arm, "mjcf").text, FlexibleJointModel(arm))
+
+
+def test_stiff_effects_are_resolved() -> None:
+    arm = make(PLANAR).extended([effect("end_stop", "knee", position=0.1, stiffness=1e6)])
+    assert stepping(FlexibleJointModel(arm))[1] < 2e-4
+    arm = make(PLANAR).extended([effect("dahl_friction", "knee", level=5.0, scale=1e-5)])
+    assert stepping(FlexibleJointModel(arm))[1] < 5e-4
 
 
 def test_joints_of_more_than_one_axis() -> None:

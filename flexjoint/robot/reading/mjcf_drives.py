@@ -19,6 +19,7 @@ from flexjoint.robot.reading import xml_file
 MARK = ("written_by", "flexjoint export")  # a <text> below <custom>
 ROTOR = "rotor."  # before the name of a joint: its rotor's hinge
 SPRING, PRELOAD, CREEP, STOP, DRIVE = "spring.", "preload.", "creep.", "stop.", "drive."  # tendons
+RK4 = "RK4"  # the integrator under which delays are half a step longer
 SOFT = 1e-4  # smallest impedance of MuJoCo's limits: as a spring whose end has this share of its inertia
 PULL = 1e-6  # N m/rad: so soft a spring, stretched far, is a constant torque
 
@@ -55,7 +56,9 @@ class _Reader:
         self.tendons = {e.get("name", ""): e for e in root.findall("tendon/fixed")}
         commanded = [*root.findall("actuator/general"), *root.findall("actuator/dcmotor")]
         self.motors = {e.get("name", ""): e for e in commanded}
-        self.step = self._number(root.find("option"), "timestep") or 1e-3
+        option = root.find("option")
+        self.step = self._number(option, "timestep") or 1e-3
+        self.integrator = option.get("integrator") if option is not None else None
         self.names = [e.get("name", "") for e in root.findall("actuator/*") if e.get("input") != "none"]
 
     def drives(self) -> Drives:
@@ -199,7 +202,8 @@ class _Reader:
                 yield effect, {number: self._number(motor, key, place)}
         late = self._number(motor, "delay")
         if late > 0.0:  # half a step of it is that commands are held
-            yield "torque_delay", {"delay": max(late - 0.5 * self.step, 0.0)}
+            held = 0.5 * self.step if self.integrator == RK4 else 0.0
+            yield "torque_delay", {"delay": max(late - held, 0.0)}
         wave = self._numbers(self.motors.get(f"cogging.{name}"), "cogging", (3,))
         if wave and gain:
             yield "cogging", {"amplitude": wave[0] / gain, "cycles": wave[1], "phase": wave[2]}
