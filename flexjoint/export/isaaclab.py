@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
@@ -12,7 +13,7 @@ from flexjoint.export.subject import Subject
 from flexjoint.export.urdf import heading
 
 BODIES = absent("bodies are not in that file; export them to urdf")
-VISCOUS = near(f"viscous_friction; {UNVERIFIED}")
+VISCOUS = near(f"viscous_friction, from Isaac Sim 5 on; {UNVERIFIED}")
 DRY = near(f"friction and dynamic_friction, efforts from Isaac Sim 5 on; {UNVERIFIED}")
 
 
@@ -57,6 +58,7 @@ def _config(subject: Subject) -> Iterator[str]:
             for joint in robot.joints}  # fmt: skip
     yield "from isaaclab.actuators import DelayedPDActuatorCfg, ImplicitActuatorCfg"
     yield ""
+    yield "# names of Isaac Lab 2, which 3 takes as well; friction is in N m from Isaac Sim 5 on"
     rate = robot.rates.physics
     yield f"# delays count steps of 1/{rate:g} s: set SimulationCfg(dt=1.0 / {rate:g})"
     yield "ACTUATORS = {"
@@ -66,7 +68,7 @@ def _config(subject: Subject) -> Iterator[str]:
         static = level + subject.number("stribeck_friction", name, "static_extra")
         most = subject.most_torque(name)
         yield f"    {name!r}: {'DelayedPDActuatorCfg' if delay else 'ImplicitActuatorCfg'}("
-        yield f"        joint_names_expr=[{name!r}],"
+        yield f"        joint_names_expr=[{re.escape(name)!r}],"
         yield f"        stiffness={joint.kp!r},  # kp of the robot file"
         yield f"        damping={joint.kd!r},  # kd of the robot file"
         if most < math.inf:
