@@ -261,6 +261,24 @@ def sliding() -> pin.Model:
     return model
 
 
+def test_joints_that_slide_and_passive_ones_move_as_ours_do() -> None:
+    rates = {"physics": TICK * SHORT, "control": TICK}
+    numbers = {"stiffness": 5000.0, "damping": 5.0, "motor_inertia": 2.0, "motor_damping": 10.0}
+    arm = Robot.from_model(sliding(), ["slide"], **numbers, rates=rates)
+    arm = arm.extended([effect("motor_coulomb_friction", "slide", level=5.0)])
+    model = FlexibleJointModel(arm)
+    torque = 20.0 + 10.0 * torques(1)
+    run = MujocoRun(exported(arm, "mjcf").text, model)
+    got = run.rollout(model, model.rest(), torque, RunOptions(rate=TICK))
+    expected = rollout(
+        model, model.rest(), np.repeat(torque, FINE, axis=0), RunOptions(rate=TICK * FINE, engine="pin")
+    )
+    apart = positions(got) - positions(expected)[::FINE]
+    # it slides by half a metre while the arm swings; friction that sticks is of order 1 in MuJoCo
+    assert np.ptp(expected.q[:, 0]) > 0.4 and np.ptp(expected.q[:, 1]) > 0.3
+    assert rms(apart) < 1e-4
+
+
 def test_a_floating_base_falls_as_ours_does() -> None:
     arm = make(SPATIAL, base="floating", rates={"physics": TICK, "control": TICK})
     model = FlexibleJointModel(arm)
