@@ -16,7 +16,7 @@ help:
 	@echo "make fuzz   hostile input to every reader and the main commands; an hour, EXAMPLES=300 for some minutes"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style, types and who imports whom"
-	@echo "make docs   regenerate docs/effects.md, docs/settings.md, docs/limits.md and the table in docs/architecture.md"
+	@echo "make docs   regenerate docs/effects.md, docs/settings.md, docs/limits.md and the tables in docs/architecture.md, docs/exporting.md"
 	@echo "make pictures   draw the pictures of effect_of_stiffness and centauro (notebooks) anew; needs Chromium"
 	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
 	@echo "make clean  remove .venv and everything that was built"
@@ -59,6 +59,7 @@ docs: .venv/.demo
 	$(BIN)/python -c "from flexjoint.core.limits import limits_page; print(limits_page(), end='')" > docs/limits.md.new
 	mv docs/limits.md.new docs/limits.md
 	$(BIN)/python docs/modules.py
+	$(BIN)/python docs/export_table.py
 
 pictures: .venv/.test
 	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \

@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.diagnosis.pipeline import diagnose
     from flexjoint.diagnosis.result import Diagnosis
     from flexjoint.effects import Effect, catalogue, effect
+    from flexjoint.export.targets import Exported, export_robot
     from flexjoint.model.dynamics import FlexibleJointModel
     from flexjoint.model.statics.equilibrium import equilibrium
     from flexjoint.model.statics.static_law import static_error
@@ -48,6 +49,7 @@ __all__ = [
     "DataCheck",
     "Diagnosis",
     "Effect",
+    "Exported",
     "FlexJointError",
     "FlexibleJointModel",
     "LiveSimulation",
@@ -62,6 +64,7 @@ __all__ = [
     "diagnose",
     "effect",
     "equilibrium",
+    "export_robot",
     "import_log",
     "linearise",
     "load_robot",
@@ -87,6 +90,7 @@ _PLACES = {  # name: module and what it is called there
     "DataCheck": ("diagnosis.data.check", "DataCheck"),
     "Diagnosis": ("diagnosis.result", "Diagnosis"),
     "Effect": ("effects", "Effect"),
+    "Exported": ("export.targets", "Exported"),
     "FlexJointError": ("core.errors", "FlexJointError"),
     "FlexibleJointModel": ("model.dynamics", "FlexibleJointModel"),
     "LiveSimulation": ("simulation.live", "LiveSimulation"),
@@ -101,6 +105,7 @@ _PLACES = {  # name: module and what it is called there
     "diagnose": ("diagnosis.pipeline", "diagnose"),
     "effect": ("effects", "effect"),
     "equilibrium": ("model.statics.equilibrium", "equilibrium"),
+    "export_robot": ("export.targets", "export_robot"),
     "import_log": ("recording.importing", "import_log"),
     "linearise": ("design.linearise", "linearise"),
     "load_robot": ("robot.robot", "load"),

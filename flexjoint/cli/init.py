@@ -37,9 +37,10 @@ def run(arguments: argparse.Namespace) -> None:
     for line in (account, *made.notes):
         if line:
             print(line)
+    kind = "rigid" if all(joint.rigid for joint in made.robot.joints) else "flexible"
     marks = made.text.count("CHECK") - 1
     print(
-        f"wrote {out}: rigid joints, tolerances by default; {marks} lines marked CHECK say where numbers"
+        f"wrote {out}: {kind} joints, tolerances by default; {marks} lines marked CHECK say where numbers"
         f" are found"
     )
     print(f"next: {_next(arguments, out)}")

@@ -102,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     view.add(commands)
 
     _add_plan(commands)
+    _add_export(commands)
 
     demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
     demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
@@ -218,6 +219,29 @@ def _add_plan(commands: Any) -> None:
     plan.add_argument("--seed", type=int, default=1, help="of the search for a motion, default 1")
     plan.add_argument("--quiet", action="store_true", help="print nothing")
     plan.set_defaults(run=_lazily("plan"))
+
+
+def _add_export(commands: Any) -> None:
+    export = commands.add_parser("export", help="write a robot for MuJoCo, Gazebo, Isaac Lab, Drake or ROS")
+    export.add_argument("robot", metavar="ROBOT.yaml", help="robot file, or the name of a shipped robot")
+    export.add_argument(
+        "--to",
+        required=True,
+        metavar="TARGET",
+        help="mjcf, urdf, sdf, isaaclab, drake or ros2_control (docs/exporting.md)",
+    )
+    export.add_argument("--out", type=Path, required=True, metavar="OUT", help="the file to write")
+    export.add_argument(
+        "--measure",
+        type=Path,
+        metavar="REC",
+        help="run the exported MJCF in MuJoCo beside the simulation, in the windows of this recording",
+    )
+    export.add_argument("--horizon", type=float, default=0.5, help="their length [s], default 0.5")
+    options.add_choice(export)
+    options.add_mapping(export)
+    options.add_engine(export)
+    export.set_defaults(run=_lazily("export"))
 
 
 def _lazily(command: str) -> Callable[[argparse.Namespace], None]:

@@ -22,6 +22,11 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", required=True, metavar="R.yaml", help="robot file, or the name of a shipped robot"
     )
+    add_choice(parser)
+
+
+def add_choice(parser: argparse.ArgumentParser) -> None:
+    """The options that choose what of a robot is there."""
     parser.add_argument(
         "--sections",
         metavar="NAME[,NAME...]",

@@ -21,6 +21,8 @@ from flexjoint.core.units import of_joint
 from flexjoint.robot import description as robot_description
 from flexjoint.robot import ready_made, schema
 from flexjoint.robot.numbers import floats
+from flexjoint.robot.reading import mjcf_drives, xml_file
+from flexjoint.robot.reading.mjcf_drives import Drives
 from flexjoint.robot.robot import Robot, build
 
 CHECK = "CHECK"  # what a comment begins with where the description does not know a number
@@ -104,9 +106,10 @@ def draft(source: str, out: Path, seen: Seen | None = None, springs: bool = True
     description = robot_description.read(bare, out)
     floating = robot_description.has_free_joint(description)
     model = robot_description.model(description, floating)
-    joints = _joints(model, description.text if kind == "urdf" else "", seen, source)
+    drives = _drives(model, description)
+    joints = _joints(model, description.text if kind == "urdf" else "", seen, source, drives)
     place = source if named else _relative(Path(source), out.parent)
-    lines = _Lines(kind, name.removesuffix(ready_made.ENDING), place, floating, joints, seen, springs)
+    lines = _Lines(kind, name.removesuffix(ready_made.ENDING), place, floating, joints, seen, springs, drives)
     text = "\n".join(lines.all()) + "\n"
     file = schema.parse(yaml.safe_load(text), str(out))
     robot = build(file.model_copy(update={kind: given}), out)
@@ -121,7 +124,22 @@ def _relative(target: Path, folder: Path) -> str:
 
 
 # --- joints -------------------------------------------------------------------------------------------------
-def _joints(model: pin.Model, urdf: str, seen: Seen | None, source: str) -> _Joints:
+def _drives(model: pin.Model, description: robot_description.Description) -> Drives | None:
+    """The drives of an MJCF that was exported, None of any other description."""
+    if description.kind != "mjcf":
+        return None
+    where = f"MJCF {description.path}"
+    inverse = np.diag(pin.computeMinverse(model, model.createData(), pin.neutral(model)))
+
+    def inverse_inertia(joint: str) -> float:
+        if not model.existJointName(joint):
+            raise RobotError(f"{where}: {unknown('joint', joint, list(model.names)[1:])}; export it anew")
+        return float(inverse[model.joints[model.getJointId(joint)].idx_v])
+
+    return mjcf_drives.read(xml_file.read(description.path), where, inverse_inertia)
+
+
+def _joints(model: pin.Model, urdf: str, seen: Seen | None, source: str, drives: Drives | None) -> _Joints:
     out = _Joints(model)
     mimics = _mimics(urdf)
     names = [str(name) for name in model.names][2 if floats(model) else 1 :]
@@ -131,6 +149,8 @@ def _joints(model: pin.Model, urdf: str, seen: Seen | None, source: str) -> _Joi
             out.locked[name] = f"{joint.nv} degrees of freedom: only single-axis joints can be actuated"
         elif name in mimics:
             out.locked[name] = f"mimics {_quoted(mimics[name])}"
+        elif drives is not None and name not in drives.joints:
+            continue  # a passive joint, which swings
         elif seen is not None and name not in seen.channels:
             out.locked[name] = "not in the recording; give its position [rad] under `initial`"
         else:
@@ -165,6 +185,7 @@ class _Lines:
     joints: _Joints
     seen: Seen | None
     springs: bool
+    drives: Drives | None
 
     def all(self) -> Iterator[str]:
         yield "# Robot file of flexjoint, drafted by `flexjoint init`. docs/formats.md has every key."
@@ -172,7 +193,8 @@ class _Lines:
         yield f"name: {_quoted(self.name)}"
         yield f"{self.kind}: {_quoted(self.place)}  # relative to this file, or package://"
         yield "base: floating" if self.floating else "base: fixed  # or floating: it walks, drives or flies"
-        yield f"gravity: [0, 0, -9.81]  # m/s^2 in the base frame; {CHECK} on a wall, a ceiling or a slope"
+        gravity = [0, 0, -9.81] if self.drives is None else list(self.drives.gravity)
+        yield f"gravity: {gravity}  # m/s^2 in the base frame; {CHECK} on a wall, a ceiling or a slope"
         yield from self._rates()
         yield from self._locked()
         yield "tolerance:  # relative standard deviations: what they can explain is no finding"
@@ -185,9 +207,10 @@ class _Lines:
 
     def _rates(self) -> Iterator[str]:
         rate = max(SLOWEST, self.seen.rate) if self.seen is not None else SLOWEST
+        physics = max(rate, self.drives.rate) if self.drives is not None else rate
         recorded = f"; the recording has {self.seen.rate:.4g} Hz" if self.seen is not None else ""
         yield "rates:"
-        yield f"  physics: {rate:.10g}  # Hz, steps of a simulation"
+        yield f"  physics: {physics:.10g}  # Hz, steps of a simulation"
         yield f"  control: {rate:.10g}  # Hz, {CHECK}: cycle of the joint controller, by its manual{recorded}"
 
     def _locked(self) -> Iterator[str]:
@@ -206,7 +229,7 @@ class _Lines:
 
     def _actuated(self) -> Iterator[str]:
         yield "joints:  # all numbers as seen from the link, through the gear"
-        if self.springs:
+        if self.springs and self.drives is None:
             yield "  # A joint with a harmonic drive or a series spring is flexible: for .inf put the"
             yield "  # torsional stiffness [N m/rad] of its gear (data sheet, at the output), and add"
             yield "  # `damping: ...` [N m s/rad]; it needs a motor_inertia then."
@@ -216,6 +239,9 @@ class _Lines:
 
     def _numbers(self, joint: str) -> Iterator[str]:
         unit = lambda text: of_joint(text, self.joints.slides(joint))  # noqa: E731
+        if self.drives is not None:
+            yield from (f"{key}: {_exactly(value)}" for key, value in self.drives.joints[joint].items())
+            return
         effort, damping = self.joints.number("effortLimit", joint), self.joints.number("damping", joint)
         channels = self.seen.channels.get(joint, ()) if self.seen is not None else ()
         if self.springs and "q" in channels and "theta" in channels:
@@ -224,18 +250,19 @@ class _Lines:
             yield "stiffness: .inf  # rigid"
         armature = self.joints.number("armature", joint)
         if armature > 0.0:
-            yield f"motor_inertia: {armature:.10g}  # {unit('kg m^2')}, the armature of the MJCF"
+            yield f"motor_inertia: {_number(armature)}  # {unit('kg m^2')}, the armature of the MJCF"
         else:
             yield (
                 f"motor_inertia: 0  # {unit('kg m^2')}, {CHECK}: gear_ratio^2 x rotor inertia (data sheet"
                 f" of the motor)"
             )
         if damping > 0.0:
-            yield f"motor_damping: {damping:.10g}  # {unit('N m s/rad')}, of the description; often a guess"
+            size = _number(damping)
+            yield f"motor_damping: {size}  # {unit('N m s/rad')}, of the description; often a guess"
         else:
             yield f"motor_damping: 0  # {unit('N m s/rad')}, {CHECK}: viscous friction; 0: to be found"
         if effort > 0.0:
-            yield f"torque_limit: {effort:.10g}  # {unit('N m')}, the limit of the description"
+            yield f"torque_limit: {_number(effort)}  # {unit('N m')}, the limit of the description"
         else:
             yield f"# torque_limit: 100  # {unit('N m')}, {CHECK}: peak torque of the drive (data sheet)"
         need = "needed for the recorded currents" if "current" in channels else "needed for currents"
@@ -243,6 +270,12 @@ class _Lines:
         yield f"# torque_constant: 0.1  # N m/A at the rotor, {CHECK}: data sheet of the motor; {need}"
 
     def _effects(self) -> Iterator[str]:
+        if self.drives is not None and self.drives.effects:
+            yield "effects:  # what the description claims; a diagnosis says how far it is off"
+            for entry in self.drives.effects:
+                values = ", ".join(f"{key}: {_exactly(value)}" for key, value in entry.items())
+                yield f"  - {{{values}, nominal: true}}"
+            return
         levels = {joint: self.joints.number("friction", joint) for joint in self.joints.actuated}
         stated = {joint: level for joint, level in levels.items() if level > 0.0}
         if not stated:
@@ -250,8 +283,25 @@ class _Lines:
             return
         yield "effects:  # what the description claims; a diagnosis says how far it is off"
         for joint, level in stated.items():
-            name = _quoted(joint)
-            yield f"  - {{effect: motor_coulomb_friction, joint: {name}, level: {level:.10g}, nominal: true}}"
+            name, size = _quoted(joint), _number(level)
+            yield f"  - {{effect: motor_coulomb_friction, joint: {name}, level: {size}, nominal: true}}"
+
+
+def _exactly(value: float | str) -> str:
+    """A word, or a number with all its digits, as YAML takes it."""
+    if isinstance(value, str):
+        return _quoted(value)
+    return ".inf" if math.isinf(value) else _with_point(repr(float(value)))
+
+
+def _number(value: float) -> str:
+    """A number of a description as YAML takes it, without the last digits that rounding leaves."""
+    return _with_point(f"{value:.10g}")
+
+
+def _with_point(text: str) -> str:
+    """6e-05 is a word to YAML, 6.0e-05 a number."""
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
 def _quoted(text: str) -> str:
@@ -277,6 +327,6 @@ def _notes(robot: Robot, joints: _Joints) -> Iterator[str]:
     if light:
         names = ", ".join(light)
         yield f"nothing resists the torque of {names}: no inertia in the description; give motor_inertia"
-    lost = [joint for joint in robot.joint_names if joints.number("effortLimit", joint) == 0.0]
+    lost = [joint.name for joint in robot.joints if math.isinf(joint.torque_limit)]
     if lost:
         yield f"no torque limit of {', '.join(lost)}"

@@ -166,3 +166,63 @@ def test_the_descriptions_of_shipped_robots_make_drafts(tmp_path: Path, name: st
     assert set(shipped.joint_names) <= set(loaded.joint_names) and all(j.rigid for j in loaded.joints)
     if name in ("kr300", "tx40"):
         assert np.array_equal(shipped.model.lowerPositionLimit, loaded.model.lowerPositionLimit)
+
+
+def test_small_numbers_are_numbers_to_yaml(tmp_path: Path) -> None:
+    path, out = tmp_path / "arm2.xml", tmp_path / "arm2.yaml"
+    joint = '<joint name="elbow" type="hinge" axis="0 1 0"'
+    path.write_text(
+        MJCF.format(free="").replace(joint, f'{joint} armature="6e-05" damping="7e-6" frictionloss="3e-05"')
+    )
+    out.write_text(draft(str(path), out).text)
+    loaded = robot.load(out)
+    elbow = loaded.joint("elbow")
+    assert (elbow.drive.B, elbow.drive.D_m, loaded.effects[0].p.level) == (6e-05, 7e-06, 3e-05)
+
+
+EXPORTED = MJCF.format(free="").replace(
+    "</worldbody>",
+    """<body name="rotor.elbow"><joint name="rotor.elbow" armature="0.1" damping="2"/>
+  <inertial pos="0 0 0" mass="1e-12" diaginertia="1e-12 1e-12 1e-12"/></body></worldbody>
+<custom><text name="written_by" data="flexjoint export"/></custom>
+<tendon><fixed name="spring.elbow" stiffness="260" damping="0.7"><joint joint="rotor.elbow" coef="1"/>
+  <joint joint="elbow" coef="-1"/></fixed></tendon>
+<actuator><general name="elbow" joint="rotor.elbow" gainprm="1.1"/></actuator>""",
+)
+
+
+def test_an_exported_mjcf_gives_springs_and_effects(tmp_path: Path) -> None:
+    path, out = tmp_path / "arm2.xml", tmp_path / "arm2.yaml"
+    path.write_text(EXPORTED)
+    made = draft(str(path), out)
+    out.write_text(made.text)
+    loaded = robot.load(out)
+    assert loaded.joint_names == ("elbow",) and loaded.model.existJointName("shoulder")  # which is passive
+    drive = loaded.joint("elbow").drive
+    assert (drive.K, drive.D, drive.B, drive.D_m) == (260.0, 0.7, 0.1, 2.0)
+    (gain,) = loaded.effects
+    assert (gain.effect.name, gain.p.gain) == ("torque_gain", pytest.approx(0.1))
+    path.write_text(EXPORTED.replace("written_by", "note"))  # of any other file a gain may be anything
+    assert "stiffness: .inf" in draft(str(path), out).text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('stiffness="260"', 'stiffness="1,5"', "expected a number"),
+        ('stiffness="260"', 'stiffness="0"', "stiffness"),
+        ('gainprm="1.1"', 'gainprm="nan"', "expected a number"),
+        ('general name="elbow"', 'general name="wrist"', "'wrist' has no joint of its name"),
+        ('general name="elbow"', 'general name="rotor.elbow"', "expected at least one joint"),
+        ('armature="0.1"', "", "needs its inertia"),
+        ('stiffness="260"', 'range="0 1" solreflimit="-5"', "expected 2 numbers"),
+    ],
+)
+def test_an_exported_mjcf_that_was_edited_is_refused_in_one_line(
+    tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    path = tmp_path / "arm2.xml"
+    path.write_text(EXPORTED.replace(old, new))
+    with pytest.raises(FlexJointError, match=said) as caught:
+        draft(str(path), tmp_path / "arm2.yaml")
+    assert "\n" not in str(caught.value)

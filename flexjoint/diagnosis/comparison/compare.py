@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -130,8 +130,12 @@ def compared(
     horizon: float = HORIZON,
     closed_loop: bool = False,
     engine: Engine = "auto",
+    rollout: Callable[..., Trajectory] = runs.rollout,
 ) -> Comparison:
-    """`compare`, of a recording that is on its regular clock already, as that of `Readings` is."""
+    """`compare`, of a recording that is on its regular clock already, as that of `Readings` is.
+
+    rollout: what simulates under given torques, with the arguments of `flexjoint.simulation.rollout.rollout`.
+    """
     begin, period = recording.time[0], recording.period
     if 0.0 < horizon < period:
         raise RecordingError(
@@ -146,7 +150,7 @@ def compared(
         )
     starts = begin + horizon * np.arange(windows)
     estimator = StateEstimator(recording, model)
-    driver = _Driver(recording, model, estimator, horizon, windows, closed_loop, engine)
+    driver = _Driver(recording, model, estimator, horizon, windows, closed_loop, engine, rollout)
     simulated = {
         key: np.full(len(recording.time), np.nan)
         for key in recording.columns
@@ -188,8 +192,9 @@ class _Driver:
         windows: int,
         closed_loop: bool,
         engine: Engine,
+        rollout: Callable[..., Trajectory],
     ) -> None:
-        self.windows = windows
+        self.windows, self.rollout = windows, rollout
         self.recording, self.model, self.estimator = recording, model, estimator
         self.options = RunOptions(engine=engine)
         self.rate, self.control = model.robot.rates.physics, model.robot.rates.control
@@ -220,7 +225,7 @@ class _Driver:
             edges = start + np.arange(-self.before, steps + 1) / self.rate
             torque = torque_over(self.recording, self.joints, edges, self.commanded)
             past = self._past(start, torque[: self.before])
-            return runs.rollout(
+            return self.rollout(
                 self.model,
                 state,
                 torque[self.before :],
