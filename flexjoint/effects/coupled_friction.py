@@ -26,6 +26,7 @@ class CoupledFriction(Effect):
         Parameter("coefficient", "N m s/rad", "d", value=0.1, low=0.0, high=1e5),
     )
     words = (Word("speed", ("sum", "difference"), "sum"),)
+    known_as = ("motor_coulomb_friction",)  # of a motor whose coupling the robot file states
 
     def shares(self, p: Any) -> tuple[Value, Value]:
         return 1.0, 1.0 if p.speed == "sum" else -1.0

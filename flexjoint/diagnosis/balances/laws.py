@@ -217,10 +217,22 @@ class Laws:
             levels = levels + self.since(e, values, np.zeros_like(values))
         return levels
 
-    def inertias(self, joints: Sequence[int]) -> np.ndarray:
-        """(k, k) mean inertia between some joints' motors; of rigid joints with their links'."""
+    def inertias(self, joints: Sequence[int], effects: Sequence[Planned]) -> np.ndarray:
+        """(k, k) mean inertia of some joints' motors; of rigid joints with their links'."""
         robot = self.motion.robot
-        mass = np.diag([float(robot.joints[i].drive.B) for i in joints])
+        own = []
+        for i in joints:
+            drive = robot.joints[i].drive
+            for e in effects:
+                if e.joint == robot.joints[i].name:
+                    drive = e.effect.edit_drive(drive, e.p)
+            own.append(float(drive.B))
+        mass = np.diag(own)
+        for coupling in robot.couplings:
+            if set(coupling.joints) <= set(joints):
+                at = np.ix_(*2 * [[joints.index(i) for i in coupling.joints]])
+                turns = np.array(coupling.matrix)
+                mass[at] = turns.T @ mass[at] @ turns
         if all(robot.joints[i].rigid for i in joints):
             mass = mass + np.mean(self.motion.rigid.mass[:, joints][:, :, joints], axis=0)
         return mass

@@ -96,9 +96,9 @@ class Shafts:
                 elif k > place and j in other.turns:
                     sliding = sliding + other.turns[j] * along.sliding(other.laws, _combined(other, of))
             pulled = pulled + share * self._pulling(j, effects, sliding, taken)
-        mass = along.inertias(sorted(shaft.turns))
-        n = np.array([shaft.turns[j] for j in sorted(shaft.turns)])
-        inertia = 1.0 / float(n @ np.linalg.solve(mass, n))
+        tied = sorted(joints)
+        n = np.array([shaft.turns.get(j, 0.0) for j in tied])
+        inertia = 1.0 / float(n @ np.linalg.solve(along.inertias(tied, effects), n))
         noise = float(np.sqrt(sum((x * along.noise(j)) ** 2 for j, x in shaft.turns.items())))
         spectrum, _ = along.rubbing(dry, s, np.asarray(s.dtheta), pulled[0], pulled[1], inertia, noise)
         return spectrum
