@@ -8,7 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planting import Planted
 from support.coupled_robots import DIFFERENTIAL, SHARED, THROUGH, Matrix, coupled, swinging
+from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import TwinBalances, acts_within_a_joint, balances_of
 from flexjoint.diagnosis.regression.problem import Problem
@@ -193,3 +195,18 @@ def test_the_tx40_comes_down_with_friction_that_joints_5_and_6_share() -> None:
     assert np.all(stated < YARDSTICK)
     neither = hand_fit(uncoupled, friction, [*START, *[0.0] * 6], 6)
     assert neither[4] > 3.0 and neither[5] > 1.5
+
+
+@pytest.mark.parametrize("name", ["crane", "gimbal"])
+def test_a_planted_shared_friction_is_explained_down_to_the_noise(name: str) -> None:
+    """By the generator's own law, which creeps where the product's sticks."""
+    last = nominal(name).joint_names[-1]
+    values = {"level": 1.5, "coefficient": 0.8}
+    planted = Case(name, "rich", 7).with_causes(Planted("coupled_friction", last, {**values}))
+    problem = Problem(balances_of(nominal(name), as_recording(planted, name)))
+    energy = {
+        speed: problem.energy(problem.residual([effect("coupled_friction", last, speed=speed, **values)]))
+        for speed in ("sum", "difference")
+    }
+    assert energy["sum"] / problem.freedom < 1.1
+    assert min(energy["difference"], problem.energy(problem.residual([]))) / problem.freedom > 10.0
