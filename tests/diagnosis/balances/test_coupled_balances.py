@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planting import Planted
+from planting.sizes import usual_effect
 from support.coupled_robots import DIFFERENTIAL, SHARED, THROUGH, Matrix, coupled, swinging
 from support.diagnose_cases import Case, as_recording, nominal
 
@@ -201,12 +202,13 @@ def test_the_tx40_comes_down_with_friction_that_joints_5_and_6_share() -> None:
 def test_a_planted_shared_friction_is_explained_down_to_the_noise(name: str) -> None:
     """By the generator's own law, which creeps where the product's sticks."""
     last = nominal(name).joint_names[-1]
-    values = {"level": 1.5, "coefficient": 0.8}
+    usual = usual_effect("coupled_friction", name, last, np.random.default_rng(1))
+    values = {key: usual.value(key) for key in ("level", "coefficient")}
     planted = Case(name, "rich", 7).with_causes(Planted("coupled_friction", last, {**values}))
     problem = Problem(balances_of(nominal(name), as_recording(planted, name)))
     energy = {
         speed: problem.energy(problem.residual([effect("coupled_friction", last, speed=speed, **values)]))
         for speed in ("sum", "difference")
     }
-    assert energy["sum"] / problem.freedom < 1.1
+    assert energy["sum"] / problem.freedom < 2.0  # 1 is noise; the rest is creep
     assert min(energy["difference"], problem.energy(problem.residual([]))) / problem.freedom > 10.0
