@@ -32,6 +32,7 @@ class Ties:
 
     def __init__(self, robot: Robot) -> None:
         self._names = robot.joint_names
+        self._rigid = [joint.rigid for joint in robot.joints]
         self.coupled: dict[int, tuple[dict[int, float], dict[int, float]]] = {}
         self._stated = [coupling.joints for coupling in robot.couplings]
         for coupling in robot.couplings:
@@ -50,21 +51,28 @@ class Ties:
             return False
         return e.effect.reaches_before or self._names.index(e.joint) in self.coupled
 
+    def _pair(self, e: Planned) -> tuple[int, int] | None:
+        """The joint of an effect that acts on the one before as well, and that one. None where there is none,
+        or where one is rigid and the other not, which no model has: there it acts on nothing."""
+        if not e.effect.reaches_before or e.joint is None:
+            return None
+        i = self._names.index(e.joint)
+        return (i, i - 1) if i > 0 and self._rigid[i] == self._rigid[i - 1] else None
+
     def mates(self, effects: Sequence[Planned]) -> dict[int, frozenset[int]]:
-        """By joint, those that are tied to it; joints without are left out. An effect on the first joint has
-        no joint before it, and ties none."""
-        reached = [self._names.index(str(e.joint)) for e in effects if e.effect.reaches_before]
-        groups = joined([*self._stated, *((i - 1, i) for i in reached if i > 0)])
-        return {i: frozenset(some) for some in groups for i in some}
+        """By joint, those that are tied to it; joints without are left out."""
+        pairs = [pair for e in effects if (pair := self._pair(e)) is not None]
+        return {i: frozenset(some) for some in joined([*self._stated, *pairs]) for i in some}
 
     def shafts(self, joints: frozenset[int], effects: Sequence[Planned]) -> list[Turning]:
-        """The shafts of a group of joints."""
+        """The shafts of a group of joints. Dead times of coupled motors are not modelled, and do nothing."""
         out = []
         for i in sorted(joints & set(self.coupled)):
-            own = tuple(e for e in effects if e.joint == self._names[i] and self.on_shaft(e))
-            out.append(Turning(i, *self.coupled[i], tuple(e for e in own if not e.effect.reaches_before)))
+            own = [e for e in effects if e.joint == self._names[i] and self.on_shaft(e)]
+            laws = tuple(e for e in own if not (e.effect.reaches_before or e.effect.overrides("delay")))
+            out.append(Turning(i, *self.coupled[i], laws))
         for e in effects:
-            if e.effect.reaches_before and e.joint is not None and (i := self._names.index(e.joint)) > 0:
+            if (pair := self._pair(e)) is not None:
                 share, before = e.effect.shares(e.p)
-                out.append(Turning(i, {i: float(share), i - 1: float(before)}, {}, (e,)))
+                out.append(Turning(pair[0], {pair[0]: float(share), pair[1]: float(before)}, {}, (e,)))
         return out

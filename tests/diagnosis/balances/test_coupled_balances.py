@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from planting import Planted
 from planting.sizes import usual_effect
+from support.arms import SPATIAL, make
 from support.coupled_robots import DIFFERENTIAL, SHARED, THROUGH, Matrix, coupled, swinging
 from support.diagnose_cases import Case, as_recording, nominal
 
@@ -135,6 +136,13 @@ def test_an_effect_on_two_joints_is_not_within_one() -> None:
     assert [balances.rows[r].joint for r in sorted(changed)] == list(SHARED)
     first = effect("coupled_friction", "yaw")  # which has no joint before it, and shows nothing
     assert np.max(np.abs(balances.change([], [first]))) == 0.0
+    # nor do pairs of which one joint is rigid, nor late commands of shared motors: no model has these
+    mixed = make(SPATIAL, {"pitch": {"stiffness": float("inf")}})
+    balances = balances_of(mixed, recorded(mixed, []))
+    assert np.max(np.abs(balances.change([], [SHARING]))) == 0.0
+    shared = coupled(THROUGH, rigid=True)
+    balances = balances_of(shared, recorded(shared, []))
+    assert np.max(np.abs(balances.change([], [effect("torque_delay", "pitch", delay=0.003)]))) == 0.0
 
 
 # ------------------------------------------------------------------ a real machine
