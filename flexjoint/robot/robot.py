@@ -113,7 +113,7 @@ class Robot:
             torque_limit: default: none.
             gear_ratio, torque_constant [N m/A at the motor]: default: none; of recordings of currents.
             rates: `physics` and `control` [Hz].
-            tolerance: `inertial`, `stiffness`, `damping` and `torque`, see docs/formats.md.
+            tolerance: `inertial`, `com`, `stiffness`, `damping` and `torque`, see docs/formats.md.
             effects: that the model claims.
 
         Raises RobotError or UnknownNameError with what was expected, what came and what to do.
