@@ -106,6 +106,16 @@ def zeros(size: int, symbolic: bool) -> Value:
     return ca.SX.zeros(size) if symbolic else np.zeros(size)
 
 
+def matrix(rows: Sequence[Sequence[Value]], symbolic: bool) -> Value:
+    """A matrix of rows of scalars: of expressions where `symbolic`, else of numbers."""
+    return ca.SX(ca.blockcat([list(row) for row in rows])) if symbolic else np.array(rows, dtype=float)
+
+
+def solve(matrix: Value, right: Value) -> Value:
+    """matrix^-1 right, of a small matrix that is not singular."""
+    return ca.solve(matrix, right) if is_symbolic(matrix, right) else np.linalg.solve(matrix, right)
+
+
 def items(vector: Value) -> Any:
     """A vector's entries as scalars (Python floats: their arithmetic is several times quicker)."""
     return vector.tolist() if isinstance(vector, np.ndarray) else vector

@@ -245,9 +245,13 @@ class _Joint:
             theta = float(equilibrium(model, q).theta[0, i])
             s = Signals(q=float(q[joint.idx_q]), theta=theta, phi=theta - float(q[joint.idx_q]))
             _, K, D = flow.linear_spring(s, [0.0] * max(model.nz, 1), 0.0)
-        return _Joint(
-            joint.name, mass, gravity, on_link, float(K), float(D), flow.drive.B, flow.drive.D_m + on_motor
-        )
+        B, D_m = flow.drive.B, flow.drive.D_m + on_motor
+        for group in model.groups:  # of shafts that turn with it, the other joints held
+            if i in group.joints:
+                r = group.joints.index(i)
+                B, D_m = (group.matrix([getattr(x, key) for x in group.shafts])[r][r] for key in ("B", "D_m"))
+                D_m = D_m + on_motor
+        return _Joint(joint.name, mass, gravity, on_link, float(K), float(D), float(B), float(D_m))
 
     def polynomial(self, kp: float, kd: float) -> np.ndarray:
         """Characteristic polynomial under the PD, highest power first."""

@@ -58,7 +58,7 @@ def linearise(
         ModelError: kinks and no choice, a missing amplitude or width, wrong shapes, no equilibrium; contacts
             with the ground.
     """
-    refuse_contacts(model)
+    refuse_what_is_unknown(model)
     own, effects = model, model.effects
     rough = kinked(effects)
     _check_choice(rough, nonsmooth, width)
@@ -118,7 +118,7 @@ def symbolic_linearisation(
     CENTAURO with a fixed base 114 thousand instructions, instead of 187 for the whole right-hand side
     differentiated at once. The matrices are sparse.
     """
-    refuse_contacts(model)
+    refuse_what_is_unknown(model)
     twin = FlexibleJointModel(model.robot, model.effects, SymbolicBody)
     body, nv = twin.body, twin.nv
     torques = _JointTorques.of(model, width, t)
@@ -139,8 +139,16 @@ def symbolic_linearisation(
     )
 
 
-def refuse_contacts(model: FlexibleJointModel) -> None:
-    """Raises ModelError for a model with contacts, which a linear model here knows nothing of."""
+def refuse_what_is_unknown(model: FlexibleJointModel) -> None:
+    """Raises ModelError for a model with contacts, or with motors that several rigid joints share, which a
+    linear model here knows nothing of."""
+    for group in model.groups:
+        if group.rigid:
+            listed = " and ".join(model.joints[i].name for i in group.joints)
+            raise ModelError(
+                f"{listed} are rigid and share a motor, which linear models cannot have; give them a"
+                " stiffness, or leave the coupling out"
+            )
     if model.ground is not None:
         raise ModelError(
             f"{model.robot.name} stands on contacts, which linear models cannot have: fix its base"

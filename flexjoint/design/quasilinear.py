@@ -136,6 +136,13 @@ class _Quasi(Effect):
     def name(self) -> str:
         return self._effect.name
 
+    @property
+    def reaches_before(self) -> bool:
+        return self._effect.reaches_before
+
+    def shares(self, p: Any) -> tuple[Value, Value]:
+        return self._effect.shares(self._p)
+
     def edit_drive(self, drive: Drive, p: Any) -> Drive:
         return self._effect.edit_drive(drive, self._p)
 

@@ -137,6 +137,12 @@ class Effect:
         it as a set (it sticks)."""
         return 0.0
 
+    def shares(self, p: Any) -> tuple[Value, Value]:
+        """MOTOR: the shaft on which it acts turns by so much for a turn of this joint's motor, and of the one
+        of the joint before. Its law sees that shaft, and its torque acts on both motors by the same shares
+        (virtual work)."""
+        return 1.0, 0.0
+
     def rate(self, s: Signals, p: Any, z: Value) -> Value:
         """Time derivative of the internal state z, affine in z."""
         return 0.0
@@ -180,6 +186,11 @@ class Effect:
     def overrides(self, method: str) -> bool:
         """Whether this effect has the named piece of physics."""
         return getattr(type(self), method) is not getattr(Effect, method)
+
+    @property
+    def reaches_before(self) -> bool:
+        """Whether it acts on the joint before its own as well."""
+        return self.overrides("shares")
 
     @property
     def nulls(self) -> tuple[Parameter, ...]:

@@ -4,9 +4,9 @@
     tau_t = K (theta - q) + D (dtheta - dq) + ...
 
 (Spong 1987; Kashiri et al. 2017, equations 1 to 3.) A rigid joint (infinite stiffness) has theta = q: its
-motor's inertia and damping act on the link. A joint that is not actuated swings freely. The class serves
-numbers and CasADi alike: the body it is given decides (`PinBody` or `SymbolicBody`).
-"""
+motor's inertia and damping act on the link. A joint that is not actuated swings freely. Motors that turn with
+several joints are shafts (`flexjoint.model.shafts`). The class serves numbers and CasADi alike: the body it
+is given decides (`PinBody` or `SymbolicBody`)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ import numpy as np
 from flexjoint.core import ops
 from flexjoint.core.errors import ModelError, unknown
 from flexjoint.core.ops import Value
-from flexjoint.effects import Planned, Signals, signal_order
+from flexjoint.effects import Planned, Signals, Site, signal_order
 from flexjoint.model.contact.compliant import Ground
 from flexjoint.model.contact.rigid import RigidGround
 from flexjoint.model.joint import JointFlow, Part, neighbours
+from flexjoint.model.shafts import Group, Shaft, Tie, joined
 from flexjoint.model.springs import VariableSpring
 from flexjoint.rigidbody.numeric import PinBody
 from flexjoint.robot.robot import Robot
@@ -106,12 +107,14 @@ class FlexibleJointModel:
         self.flows = tuple(
             JointFlow(
                 joint,
-                [self._part(planned) for planned in awake if planned.joint == joint.name],
+                [self._part(x) for x in awake if x.joint == joint.name and not x.effect.reaches_before],
                 self.springs.get(joint.name),
                 [self._part(planned) for planned in following if planned.joint == joint.name],
             )
             for joint in self.joints
         )
+        self.groups = self._groups([x for x in awake if x.effect.reaches_before])
+        self.grouped = frozenset(j for group in self.groups for j in group.joints)
         self.body = self._edited_body(awake)
         self.nq, self.nv = self.body.nq, self.body.nv
         self.ground = self._ground()
@@ -131,6 +134,18 @@ class FlexibleJointModel:
             seen.add(planned.key)
             if len(planned.effect.states) > MAX_STATES:
                 raise ModelError(f"{planned.effect.name} has {len(planned.effect.states)} states; 1 at most")
+            if planned.effect.reaches_before and planned.joint == names[0]:
+                raise ModelError(
+                    f"{planned}: there is no joint before it; name the later one of the two joints"
+                )
+            if (
+                planned.effect.overrides("delay")
+                and planned.effect.site is Site.COMMAND
+                and any(names.index(str(planned.joint)) in c.joints for c in self.robot.couplings)
+            ):
+                raise ModelError(
+                    f"{planned}: the joint's motor is coupled, and late commands of such are not modelled"
+                )
             if planned.effect.needs_spring and planned.joint and self.robot.joint(planned.joint).rigid:
                 raise ModelError(f"{planned}: the joint is rigid; give it a finite stiffness first")
         for name in self.springs:
@@ -140,6 +155,35 @@ class FlexibleJointModel:
     def _part(self, planned: Planned) -> Part:
         slot = self._slots.get(planned.key, -1)
         return Part(planned.effect, planned.p, slot, self.effects.index(planned))
+
+    def _groups(self, reaching: Sequence[Planned]) -> tuple[Group, ...]:
+        """The joints that shafts tie together: by the robot file's couplings, and by effects."""
+        names = self.robot.joint_names
+        own: dict[int, Shaft] = {}
+        for coupling in self.robot.couplings:
+            for r, i in enumerate(coupling.joints):
+                turns = {j: x for j, x in zip(coupling.joints, coupling.matrix[r], strict=True) if x != 0.0}
+                takes = dict(zip(coupling.joints, coupling.inverse[:, r].tolist(), strict=True))
+                own[i] = Shaft(i, turns, takes, self.flows[i])
+        more = []
+        for planned in reaching:
+            i = names.index(str(planned.joint))
+            share, before = planned.effect.shares(planned.p)
+            flow = JointFlow(self.joints[i], [self._part(planned)])
+            more.append(Shaft(i, {i: share, i - 1: before}, {}, flow))
+        groups = []
+        for some in joined([*(c.joints for c in self.robot.couplings), *(shaft.turns for shaft in more)]):
+            joints = tuple(sorted(some))
+            rigid = {self.joints[i].rigid for i in joints}
+            if len(rigid) > 1:
+                listed = " and ".join(self.joints[i].name for i in joints)
+                raise ModelError(
+                    f"{listed} share a motor, and not all are rigid: give each a stiffness, or .inf to each"
+                )
+            shafts = [own.get(i) or Shaft(i, {i: 1.0}, {i: 1.0}, self.flows[i]) for i in joints]
+            shafts += [shaft for shaft in more if shaft.joint in some]
+            groups.append(Group(joints, tuple(shafts), rigid.pop()))
+        return tuple(groups)
 
     def _edited_body(self, awake: Sequence[Planned]) -> Any:
         nominal = self._body_kind(self.robot.model)
@@ -189,6 +233,12 @@ class FlexibleJointModel:
         times = (-math.inf, *self.onsets)
         kind, springs = self._body_kind, self.springs
         return tuple((t, FlexibleJointModel(self.robot, self.effects, kind, t, springs)) for t in times)
+
+    @cached_property
+    def rubs(self) -> bool:
+        """Whether there is dry friction anywhere."""
+        shafts = (shaft.flow for group in self.groups for shaft in group.shafts)
+        return any(flow.motor_rubs or flow.link_rubs for flow in (*self.flows, *shafts))
 
     # --- numbers or expressions ------------------------------------------------------------------
     @property
@@ -282,33 +332,119 @@ class FlexibleJointModel:
         """
         tau, armature = self.zeros(self.nv), self.zeros(self.nv)
         ddtheta, dz, tau_t = self.zeros(self.nf), self.zeros(self.nz), self.zeros(len(self.joints))
+        of: dict[int, Signals] = {}
         for i, flow in enumerate(self.flows):
             s = self.signals(state, i, tau_m[i], neighbours(tau_m, i))
-            drive, joint = flow.drive, flow.joint
-            on_motor, on_link = flow.torques(s, state.z)
-            motor = flow.command(s, tau_m[i], state.z) + on_motor - drive.D_m * s.dtheta
-            link = on_link
+            joint, link = flow.joint, flow.torques(s, state.z)[1]
             if width is not None:
-                motor = motor - flow.motor_level(s, state.z) * ops.tanh(s.dtheta / width)
                 link = link - flow.link_level(s, state.z) * ops.tanh(s.dq / width)
+            if i in self.grouped:
+                of[i] = s
+                tau[joint.idx_v] = link if joint.rigid else s.tau_t + link
+                tau_t[i] = s.tau_t
+                continue
+            motor = _driven(flow, s, state.z, width)
             if joint.rigid:
                 tau[joint.idx_v] = motor + link
-                armature[joint.idx_v] = drive.B
+                armature[joint.idx_v] = flow.drive.B
                 tau_t[i] = motor
             else:
                 tau[joint.idx_v] = s.tau_t + link
-                ddtheta[self.flexible.index(i)] = (motor - s.tau_t) / drive.B
+                ddtheta[self.flexible.index(i)] = (motor - s.tau_t) / flow.drive.B
                 tau_t[i] = s.tau_t
             for slot, rate in flow.rates(s, state.z):
                 dz[slot] = rate
+        for group in self.groups:
+            self._turn(group, of, state.z, width, (tau, armature, ddtheta, dz, tau_t))
         if self.ground is not None:
             touch = self.ground.touch(self.body, state.q, state.v, state.z)
             tau = tau + touch.tau
             dz[self.ground.slots] = self.vector(touch.rates)
-        acc = self.body.aba(state.q, state.v, tau, armature)
-        for i in self.rigid:
-            tau_t[i] = tau_t[i] - self.flows[i].drive.B * acc[self.joints[i].idx_v]
+        blocks = [(self.places(group), group.inertia) for group in self.groups if group.rigid]
+        acc = self.accelerating(state.q, state.v, armature, blocks)(tau)
+        for i, taken in self._taken(acc):
+            tau_t[i] = tau_t[i] - taken
         return Rates(state.v, acc, state.dtheta, ddtheta, dz, tau_t)
+
+    def _turn(
+        self,
+        group: Group,
+        of: Mapping[int, Signals],
+        z: Value,
+        width: Value | None,
+        out: tuple[Value, Value, Value, Value, Value],
+    ) -> None:
+        """Write what a group's shafts give: torques and armatures of links, accelerations of motors, rates of
+        internal states, torques through rigid transmissions."""
+        tau, armature, ddtheta, dz, tau_t = out
+        given = group.at_joints([self._given(shaft, of, z, width, dz) for shaft in group.shafts])
+        inertia = group.inertia
+        if group.rigid:
+            for r, (i, place) in enumerate(zip(group.joints, self.places(group), strict=True)):
+                tau[place], tau_t[i], armature[place] = tau[place] + given[i], given[i], inertia[r][r]
+            return
+        pull = self.vector(given[i] - of[i].tau_t for i in group.joints)
+        turning = ops.solve(ops.matrix(inertia, self.symbolic), pull)
+        for r, i in enumerate(group.joints):
+            ddtheta[self.flexible.index(i)] = turning[r]
+
+    def _given(
+        self, shaft: Shaft, of: Mapping[int, Signals], z: Value, width: Value | None, dz: Value
+    ) -> Value:
+        """What a shaft gives at its own position; the rates of internal states go into dz."""
+        s = shaft.signals(of)
+        for slot, rate in shaft.flow.rates(of[shaft.joint], z, s):
+            dz[slot] = rate
+        return _driven(shaft.flow, s, z, width, shaft.D_m, bool(shaft.takes))
+
+    def _taken(self, acc: Value) -> list[tuple[int, Value]]:
+        """Each rigid joint, with what its motor, or the shafts that it turns, take of their torques."""
+        out = [
+            (i, self.flows[i].drive.B * acc[self.joints[i].idx_v])
+            for i in self.rigid
+            if i not in self.grouped
+        ]
+        for group in self.groups:
+            places = self.places(group)
+            for i, row in zip(group.joints, group.inertia, strict=True) if group.rigid else ():
+                out.append((i, sum((b * acc[place] for b, place in zip(row, places, strict=True)), 0.0)))
+        return out
+
+    def motor_torques(self, of: Sequence[Signals], ddtheta: Sequence[Value], z: Value) -> list[Value]:
+        """Torques at the joints that the motors need for their own motion, with accelerations `ddtheta` of
+        all: for inertia and damping, less what effects on them give; dry friction aside."""
+        out = []
+        for flow, s, acceleration in zip(self.flows, of, ddtheta, strict=True):
+            drive = flow.drive
+            out.append(drive.B * acceleration + drive.D_m * s.dtheta - flow.torques(s, z)[0])
+        for group in self.groups:
+            needed = []
+            for shaft in group.shafts:
+                s = shaft.signals({i: of[i] for i in group.joints})
+                turning = shaft.turned({i: ddtheta[i] for i in group.joints})
+                needed.append(shaft.B * turning + shaft.D_m * s.dtheta - shaft.flow.torques(s, z)[0])
+            for i, torque in group.at_joints(needed).items():
+                out[i] = torque
+        return out
+
+    def places(self, group: Group) -> list[int]:
+        """Places in v of a group's joints."""
+        return [self.joints[i].idx_v for i in group.joints]
+
+    def accelerating(
+        self,
+        q: Value,
+        v: Value,
+        armature: Value,
+        blocks: Sequence[tuple[Sequence[int], Sequence[Sequence[Value]]]],
+    ) -> Callable[[Value], Value]:
+        """The accelerations (nv,) by joint forces, with an armature (nv,), and `blocks` of inertia between
+        joints (see `Tie`)."""
+
+        def alone(tau: Value) -> Value:
+            return self.body.aba(q, v, tau, armature)
+
+        return Tie(alone, blocks, self.nv, self.symbolic) if blocks else alone
 
     def rhs(self, x: Value, tau_m: Value, width: Value, t: Value = 0.0) -> Value:
         """dx/dt (nx,) of x (nx,): `rates` as one vector. Only where nq = nv (every joint has one axis)."""
@@ -317,3 +453,19 @@ class FlexibleJointModel:
         r = self.rates(self.unpack(x, t), tau_m, width)
         parts = (r.v, r.acc, r.dtheta, r.ddtheta, r.dz)
         return ca.vertcat(*parts) if self.symbolic else np.concatenate(parts)
+
+
+def _driven(
+    flow: JointFlow,
+    s: Signals,
+    z: Value,
+    width: Value | None,
+    damping: Value | None = None,
+    commanded: bool = True,
+) -> Value:
+    """What a motor gives, its inertia aside; `damping` in place of its drive's."""
+    torque = flow.command(s, s.tau_m, z) if commanded else 0.0
+    torque = torque + flow.torques(s, z)[0] - (flow.drive.D_m if damping is None else damping) * s.dtheta
+    if width is not None:
+        torque = torque - flow.motor_level(s, z) * ops.tanh(s.dtheta / width)
+    return torque

@@ -21,6 +21,7 @@ from flexjoint.robot.robot import Joint
 STEP = 1e-4  # relative step of the difference quotients below, whose laws are linear or smooth on that scale
 SMALL = 1e-6  # stands for a decay of 0 in (1 - exp(-x)) / x, whose error there is below 1e-6
 SMALL_MEAN = 1e-4  # the same in a mean's (1 - (1 - exp(-x)) / x) / x, which loses more digits
+TURNING = (Site.COMMAND, Site.MOTOR)  # whose laws see the motor
 INVERSION_ROUNDS = 8  # of Newton's method in `corrected`; it squares an error of 1e-2 in each
 
 
@@ -183,24 +184,30 @@ class JointFlow:
         """Bound of the link's dry friction."""
         return _level(self._link_rubbing, s, z)
 
-    def rates(self, s: Signals, z: Any) -> list[tuple[int, Value]]:
-        """Place and time derivative of each internal state."""
-        return self._of_states(s, z, lambda part: part.effect.rate(s, part.p, z[part.slot]))
+    def rates(self, s: Signals, z: Any, shaft: Signals | None = None) -> list[tuple[int, Value]]:
+        """Place and time derivative of each internal state; `shaft` are the signals of the motor where these
+        are not the joint's."""
+        return self._of_states(s, z, shaft, lambda part, s: part.effect.rate(s, part.p, z[part.slot]))
 
-    def advanced(self, s: Signals, z: Any, ahead: float) -> list[tuple[int, Value]]:
+    def advanced(
+        self, s: Signals, z: Any, ahead: float, shaft: Signals | None = None
+    ) -> list[tuple[int, Value]]:
         """Place and value, `ahead` seconds on, of each internal state; s holds the signals on the way."""
-        return self._of_states(s, z, lambda part: _state(part, s, z, ahead))
+        return self._of_states(s, z, shaft, lambda part, s: _state(part, s, z, ahead))
 
-    def _of_states(self, s: Signals, z: Any, value: Callable[[Part], Value]) -> list[tuple[int, Value]]:
+    def _of_states(
+        self, joint: Signals, z: Any, shaft: Signals | None, value: Callable[[Part, Signals], Value]
+    ) -> list[tuple[int, Value]]:
         found = []
         for part in self.stateful:
+            s = joint if shaft is None or part.effect.site not in TURNING else shaft
             phi, dphi, commanded = s.phi, s.dphi, s.tau_m
             if part.effect.site is Site.SPRING:
                 self._deflect(s)
             elif part.effect.site is Site.COMMAND:
                 before = [x for x in self._command if x.place < part.place]
                 s.tau_m = self._through(before, s, commanded, lambda other: z[other.slot])
-            found.append((part.slot, value(part)))
+            found.append((part.slot, value(part, s)))
             s.phi, s.dphi, s.tau_m = phi, dphi, commanded
         return found
 

@@ -446,13 +446,14 @@ class _Torques:
             v[:, joint.idx_v] *= factor
             a[:, joint.idx_v] *= factor
         load = body.rnea_batch(q, v, a)
-        out = []
+        out, of = [], []
+        z = np.zeros((max(self._model.nz, 1), 1))
         for i, flow in enumerate(self._model.flows):
-            theta, dtheta, ddtheta = motor[:, :, i]
-            s = Signals(0.0, q[:, flow.joint.idx_q], v[:, flow.joint.idx_v], theta, dtheta)
-            on_motor, on_link = flow.torques(s, np.zeros((max(self._model.nz, 1), 1)))
-            needed = load[:, flow.joint.idx_v] - on_link - on_motor
-            out.append(needed + flow.drive.B * ddtheta + flow.drive.D_m * dtheta)
+            theta, dtheta, _ = motor[:, :, i]
+            of.append(Signals(0.0, q[:, flow.joint.idx_q], v[:, flow.joint.idx_v], theta, dtheta))
+            out.append(load[:, flow.joint.idx_v] - flow.torques(of[i], z)[1])
+        own = self._model.motor_torques(of, [motor[2, :, i] for i in range(len(of))], z)
+        out = [needed + torque for needed, torque in zip(out, own, strict=True)]
         return out
 
 

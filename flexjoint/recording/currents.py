@@ -1,11 +1,14 @@
 """Motor torques from motor currents: tau_motor = current * torque_constant * gear_ratio, at the link.
 
-The constant is that of the motor [N m/A]; the gear makes it a torque at the link (docs/conventions.md).
+The constant is that of the motor [N m/A]; the gear makes it a torque at the link (docs/conventions.md), and a
+coupling those of several motors torques at their joints.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+
+import numpy as np
 
 from flexjoint.recording.messages import refusal
 from flexjoint.recording.table import Recording
@@ -32,8 +35,28 @@ def with_torques(robot: Robot, recording: Recording) -> Recording:
             made.append(f"{joint.name} ({factor:.6g} N m/A)")
     if not made:
         return recording
+    _join(robot, recording, columns)
     note = f"tau_motor is current times torque_constant times gear_ratio at {', '.join(made)}"
     return replace(recording, columns=columns, notes=(*recording.notes, note))
+
+
+def _join(robot: Robot, recording: Recording, columns: dict[tuple[str, str], np.ndarray]) -> None:
+    """Torques at the joints from those of motors that several joints share, in place."""
+    for coupling in robot.couplings:
+        names = [robot.joints[i].name for i in coupling.joints]
+        made = [n for n in names if not recording.has("tau_motor", n) and ("tau_motor", n) in columns]
+        if made and len(made) < len(names):
+            other = next(name for name in names if name not in made)
+            raise refusal(
+                recording.name,
+                f"the motors of {', '.join(names)} are coupled, and {other} has no current beside that of"
+                f" {made[0]};"
+                " record all of them, or tau_motor at the joints",
+            )
+        if made:
+            motors = np.array([columns["tau_motor", name] for name in names])
+            for name, torque in zip(names, np.array(coupling.matrix).T @ motors, strict=True):
+                columns["tau_motor", name] = torque
 
 
 def _factor(robot: Robot, recording: Recording, joint: Joint) -> float | None:

@@ -18,10 +18,12 @@ from flexjoint.core.errors import FlexJointError, RobotError, RobotWarning, unkn
 from flexjoint.core.files import write_text
 from flexjoint.core.messages import shown
 from flexjoint.effects import Drive, Planned
+from flexjoint.robot import couplings as robot_couplings
 from flexjoint.robot import description as robot_description
 from flexjoint.robot import ready_made, schema
 from flexjoint.robot import sections as robot_sections
 from flexjoint.robot.contacts import GroundContact, joint_axis
+from flexjoint.robot.couplings import Coupling
 from flexjoint.robot.numbers import Numbers, as_file, floats, single_axis
 from flexjoint.robot.reading import yaml_file
 
@@ -75,6 +77,7 @@ class Robot:
     contacts: tuple[GroundContact, ...] = ()  # with the ground, of a floating base
     own_inertial: np.ndarray | None = None  # (bodies, 10) without a known payload, which has no tolerance
     ground: str = "compliant"  # or rigid: what their contact is
+    couplings: tuple[Coupling, ...] = ()  # of motors with several joints
 
     @classmethod
     def from_model(
@@ -110,7 +113,7 @@ class Robot:
             torque_limit: default: none.
             gear_ratio, torque_constant [N m/A at the motor]: default: none; of recordings of currents.
             rates: `physics` and `control` [Hz].
-            tolerance: `inertial`, `stiffness`, `damping` and `torque`, see docs/formats.md.
+            tolerance: `inertial`, `com`, `stiffness`, `damping` and `torque`, see docs/formats.md.
             effects: that the model claims.
 
         Raises RobotError or UnknownNameError with what was expected, what came and what to do.
@@ -393,6 +396,7 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
     names = [joint.name for joint in joints]
     absent = [name for name in file.joints if name not in names]
     effects = _effects([e for e in file.effects if e.get("joint") not in absent], names, where)
+    couplings = robot_couplings.read(file.couplings, names, [joint.rigid for joint in joints], absent, where)
     return Robot(
         name=file.name,
         path=path,
@@ -408,6 +412,7 @@ def build(file: schema.RobotFile, path: Path) -> Robot:
         disabled=choice.disabled,
         contacts=_contacts(model, file, (whole_frames, known), where),
         ground=file.ground,
+        couplings=couplings,
     )
 
 

@@ -24,10 +24,18 @@ class Rates(Strict):
     control: float = Field(1000.0, ge=ROBOT_FILE.slowest_rate, le=ROBOT_FILE.fastest_rate)
 
 
+# [m] of centres of mass on the joint's origin: a description that puts one there states none. Those of a UR5
+# in two simulators differ by 3 mm, and a flange at a link's end moves one by as much
+COM_AT_ORIGIN = 0.005
+
+
 class Tolerance(Strict):
-    """How far the nominal numbers are trusted: relative standard deviations; torque as a share of RMS."""
+    """How far the nominal numbers are trusted: relative standard deviations; centres of mass in metres an
+    axis, by default `inertial` of their distance from the joint, at it COM_AT_ORIGIN; torque as a share of
+    RMS."""
 
     inertial: float = Field(0.02, ge=0, le=1)
+    com: float | None = Field(None, ge=0, le=1)
     stiffness: float = Field(0.02, ge=0, le=1)
     damping: float = Field(0.1, ge=0, le=10)
     torque: float = Field(0.01, ge=0, le=1)
@@ -77,6 +85,13 @@ class ContactEntry(Strict):
     tangential_damping: float = Field(1e3, ge=0, lt=float("inf"))  # N s/m
 
 
+class CouplingEntry(Strict):
+    """Motors that several joints share: each motor's speed by the joints' speeds, seen at its joint."""
+
+    joints: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]  # row: motor of the joint in that place; column: joint
+
+
 class Preset(Strict):
     """Numbers that replace those of the file: of joints, and the rates."""
 
@@ -98,6 +113,7 @@ class RobotFile(Strict):
     lock: tuple[str, ...] = ()
     tolerance: Tolerance = Tolerance()  # type: ignore[call-arg]
     joints: dict[str, JointEntry] = Field(min_length=1)
+    couplings: tuple[CouplingEntry, ...] = ()
     effects: tuple[dict[str, Any], ...] = ()
     sources: dict[str, Any] = Field(default_factory=dict)
     offsets: Literal["per_recording"] | None = None
@@ -126,6 +142,7 @@ _NAMED: dict[str, type[Strict]] = {
     "sections": Section,
     "presets": Preset,
     "contacts": ContactEntry,
+    "couplings": CouplingEntry,
 }
 
 

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.effects import Signals, Site
+from flexjoint.effects import Drive, Signals, Site
 from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.model.joint import JointFlow
 from flexjoint.simulation.sensors import true_signals
 from flexjoint.simulation.trajectory import Trajectory
 
@@ -68,13 +69,12 @@ def energy_balance(model: FlexibleJointModel, trajectory: Trajectory) -> EnergyB
     after = slice(trajectory.first, None)
     motors, springs = np.zeros(len(rows)), np.zeros(len(rows))
     work, effects, lost = (np.zeros(steps) for _ in range(3))
+    of: dict[int, Signals] = {}
     for i, flow in enumerate(model.flows):
         drive, name = flow.drive, flow.joint.name
         q, dq, theta, dtheta = (true[c, name][after] for c in ("q", "dq", "theta", "dtheta"))
         turn, twist = np.diff(theta), np.diff(theta - q)
         work[1:] += trajectory.tau_m[after, i][:-1] * turn
-        lost[1:] += drive.D_m * turn**2 / h
-        motors += 0.5 * drive.B * dtheta[rows - trajectory.first] ** 2
         if not flow.joint.rigid:
             lost[1:] += drive.D * twist**2 / h
             springs += 0.5 * drive.K * (theta - q)[rows - trajectory.first] ** 2
@@ -82,10 +82,12 @@ def energy_balance(model: FlexibleJointModel, trajectory: Trajectory) -> EnergyB
             trajectory.time[after], q, dq, theta, dtheta, theta - q, dtheta - dq, true["tau_t", name][after]
         )
         s.tau_m = trajectory.tau_m[after, i]
-        motor, link = flow.torques(s, trajectory.z[after].T)
-        for torque, way in ((motor, turn), (link, np.diff(q))):
-            full = np.broadcast_to(torque, q.shape)
-            effects[1:] += 0.5 * (full[1:] + full[:-1]) * way
+        of[i] = s
+        effects[1:] += _done(flow.torques(s, trajectory.z[after].T)[1], q)
+    for flow, drive, s in _motors(model, of):
+        lost[1:] += drive.D_m * np.diff(s.theta) ** 2 / h
+        motors += 0.5 * drive.B * s.dtheta[rows - trajectory.first] ** 2
+        effects[1:] += _done(flow.torques(s, trajectory.z[after].T)[0], s.theta)
     at = rows - trajectory.first
     bodies = np.array([model.body.energy(trajectory.q[k], trajectory.v[k]) for k in rows])
     ground = np.array([_ground(model, trajectory, k) for k in rows])
@@ -100,6 +102,23 @@ def energy_balance(model: FlexibleJointModel, trajectory: Trajectory) -> EnergyB
         effects=sums[1],
         lost=sums[2],
     )
+
+
+def _motors(model: FlexibleJointModel, of: dict[int, Signals]) -> list[tuple[JointFlow, Drive, Signals]]:
+    """Each motor, or shaft, with its drive's numbers and signals."""
+    alone = [(flow, flow.drive, of[i]) for i, flow in enumerate(model.flows) if i not in model.grouped]
+    shafts = [
+        (shaft.flow, Drive(0.0, 0.0, shaft.B, shaft.D_m), shaft.signals({i: of[i] for i in group.joints}))
+        for group in model.groups
+        for shaft in group.shafts
+    ]
+    return alone + shafts
+
+
+def _done(torque: np.ndarray | float, angle: np.ndarray) -> np.ndarray:
+    """(R - 1,) work of a torque along an angle (R,), step by step."""
+    full = np.broadcast_to(torque, angle.shape)
+    return np.asarray(0.5 * (full[1:] + full[:-1]) * np.diff(angle))
 
 
 def assert_energy_balance(
@@ -118,7 +137,7 @@ def assert_energy_balance(
     __tracebackhide__ = True
     balance = energy_balance(model, trajectory)
     allowed = tolerance * balance.exchanged
-    takes = model.ground is not None or any(flow.motor_rubs or flow.link_rubs for flow in model.flows)
+    takes = model.ground is not None or model.rubs
     missing = balance.missing
     gained = np.max(np.maximum.accumulate(missing) - missing) if takes else np.max(np.abs(missing))
     if gained <= allowed:

@@ -76,7 +76,7 @@ def test_the_formats_page_names_every_channel_and_key() -> None:
 
 
 def test_the_robot_of_the_formats_page_is_one(tmp_path: Path) -> None:
-    _, text = blocks(DOCS / "formats.md", "yaml")  # the first one is a mapping
+    _, text, couplings = blocks(DOCS / "formats.md", "yaml")  # the first one is a mapping
     (tmp_path / "arm2.urdf").write_text(
         '<robot name="arm2"><link name="base"/><link name="arm"/><joint name="elbow" type="continuous">'
         '<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint></robot>'
@@ -84,9 +84,10 @@ def test_the_robot_of_the_formats_page_is_one(tmp_path: Path) -> None:
     (tmp_path / "arm2.yaml").write_text(text)
     loaded = robot.load(tmp_path / "arm2.yaml")
     assert [str(effect) for effect in loaded.effects] == ["cable_spring on elbow"]
-    assert (
-        yaml.safe_load(text)["tolerance"] == loaded.tolerance.model_dump()
-    )  # the defaults, as the page says
+    # the defaults, as the page says
+    assert yaml.safe_load(text)["tolerance"] == loaded.tolerance.model_dump(exclude_none=True)
+    for entry in yaml.safe_load(couplings)["couplings"]:
+        assert np.linalg.det(robot_schema.CouplingEntry.model_validate(entry).matrix) != 0.0
 
 
 # --- the worked example of adding_an_effect.md -------------------------------------------------------------

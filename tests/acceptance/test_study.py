@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from planting import BEYOND, CATALOGUE, ROBOTS, Planted, read_robot
+from planting.catalogue import TWO_JOINTS
 from study import run as study_run
 from study import summary
 from study.cases import COUNTS, SENSORS, USUAL, make
@@ -188,7 +189,7 @@ def test_effects_that_came_later_have_a_part_of_their_own() -> None:
         (planted,) = case.case.effects
         if planted.effect in ("current_lag", "joint_coupling"):
             assert case.sensors not in ("torque from current", "link side only")
-        if planted.effect == "joint_coupling":
+        if planted.effect in TWO_JOINTS:
             assert len(read_robot(ROBOTS / f"{case.case.robot}.yaml").joints) > 1
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planting.by_hand import JOINT, LEVER, lever, lever_gravity, lever_inertia, run, spring
-from planting.catalogue import BEYOND, Planted
+from planting.catalogue import BEYOND, TWO_JOINTS, Planted
 from planting.drive import Drive
 from planting.machine import Machine
 from planting.robots import ROBOTS, read_robot
@@ -98,7 +98,7 @@ def test_link_laws(planted, state, expected):
     assert lever(planted, **state)[0] == pytest.approx(expected, abs=1e-10)  # rounding
 
 
-@pytest.mark.parametrize("effect", [e for e in BEYOND if e not in (*MET_EFFECTS, "joint_coupling")])
+@pytest.mark.parametrize("effect", [e for e in BEYOND if e not in (*MET_EFFECTS, *TWO_JOINTS)])
 def test_a_closed_gate_removes_every_law(effect):
     planted = usual_effect(effect, "lever", JOINT, np.random.default_rng(0))
     switches = Machine(read_robot(LEVER), [planted], 2e-4, 5).switches
@@ -268,6 +268,27 @@ def test_a_coupled_motor_gets_a_share_of_what_its_neighbour_is_asked_for(joint, 
     tau = recorded.true["tau"][:, ("shoulder", "elbow").index(joint)]
     np.testing.assert_allclose(tau, 1.2 * own + 0.1 * others, atol=1e-12)
     assert np.abs(others).max() > 10.0  # as commanded, whatever its own drive makes of it
+
+
+@pytest.mark.parametrize(("speed", "sign"), [("sum", 1.0), ("difference", -1.0)])
+def test_a_shared_friction_acts_on_both_motors(speed, sign):
+    """From the recorded motion: what the motors' torques lack of inertia, damping and springs is the
+    friction."""
+    level, coefficient = 2.0, 1.5
+    friction = Planted(
+        "coupled_friction", "elbow", {"level": level, "coefficient": coefficient, "speed": speed}
+    )
+    recorded = plant(CRANE, [friction], "rich", 3, 4, PERFECT, rate=1000)
+    robot, true = recorded.real, recorded.true
+    acceleration = np.diff(true["dtheta"], axis=0) / 1e-3
+    speeds, springs = ((true[key][1:] + true[key][:-1]) / 2 for key in ("dtheta", "tau_t"))
+    # over each tick, in which the torque is held
+    lacking = true["tau"][:-1] - springs - robot.motor_inertia * acceleration - robot.motor_damping * speeds
+    shaft = speeds[:, 1] + sign * speeds[:, 0]
+    f = level * np.sign(shaft) + coefficient * shaft
+    turning = np.abs(shaft) > 0.1  # where it does not creep
+    for j, share in ((1, 1.0), (0, sign)):  # of some N m; the mean of a tick's ends is not its mean
+        assert np.max(np.abs(lacking[turning, j] - share * f[turning])) < 0.05
 
 
 def test_a_current_shows_a_lag_and_what_comes_from_a_neighbour():

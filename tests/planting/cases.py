@@ -15,7 +15,7 @@ from zlib import crc32
 import numpy as np
 import yaml
 
-from .catalogue import CATALOGUE, Planted
+from .catalogue import CATALOGUE, TWO_JOINTS, Planted
 from .robots import robot_file
 from .sensing import ENCODERS, FULL, LINK_SIDE, MOTOR_ONLY, NO_COMMAND, Ragged, SensorSet
 from .simulate import Recorded, plant
@@ -24,6 +24,8 @@ from .sizes import MET_EFFECTS, nominal, rounded, usual_effect, usual_excitation
 SMALL_ROBOTS = ("lever", "turret", "crane", "gimbal")
 INEXACT = 0.02  # every nominal number off by 1 to 3 %, damping by 3 to 9 %
 WEAK = 0.12  # size of the weak cases
+
+AFTER_FIRST = ("payload", "coupled_friction")  # not on a vertical axis; with a joint before
 
 LIMIT_DROP = 0.3  # of the greatest torque, that a torque_speed_limit falls by up to the greatest speed
 
@@ -117,12 +119,10 @@ def single_case(
 ) -> Case:
     """A case of one effect; what is not given is drawn from the name and the seed."""
     rng = _rng(name, seed)
-    alone = effect != "joint_coupling"  # which takes two joints
+    alone = effect not in TWO_JOINTS
     robot = robot or str(rng.choice([r for r in SMALL_ROBOTS if alone or len(nominal(r).joints) > 1]))
     joints = nominal(robot).joints
-    joint = str(
-        rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints)
-    )  # not on a vertical axis
+    joint = str(rng.choice(joints[1:] if effect in AFTER_FIRST and len(joints) > 1 else joints))
     excitation = excitation or usual_excitation(effect)
     case = Case(name, robot, excitation, (), int(rng.integers(1, 2**30)), sensors, inexact)
     if effect in MET_EFFECTS:

@@ -74,8 +74,14 @@ BEYOND: dict[str, Law] = {
     "current_lag": Law("command", ("time_constant",)),
     "joint_coupling": Law("command", ("share",), {"side": "before"}, words={"side": ("before", "after")}),
     "periodic_disturbance": Law("link", ("amplitude", "frequency"), {"phase": 0.0}),
+    "coupled_friction": Law(
+        "motor", ("level", "coefficient"), {"speed": "sum"}, words={"speed": ("sum", "difference")}
+    ),
 }
 """Effects that came later: apart, since the numbers of the study's cases follow the order of CATALOGUE."""
+
+TWO_JOINTS = ("joint_coupling", "coupled_friction")
+"""Effects of BEYOND that take a joint and one beside it."""
 
 _SIDE = {"side": ("before", "after")}
 _POSITION = {"channel": ("q", "theta")}
@@ -198,7 +204,7 @@ def check(robot: Robot, effects: list[Planted]) -> None:
         if (planted.effect, planted.joint) in seen:
             raise ValueError(f"{planted.effect} is planted twice on {planted.joint}")
         seen.add((planted.effect, planted.joint))
-        if "side" in law(planted.effect).words:
+        if "side" in law(planted.effect).words or planted.effect == "coupled_friction":
             neighbour(robot, planted)
     for joint in robot.joints:
         several = [p.effect for p in effects if p.effect in WITH_STATE and p.joint == joint]
@@ -207,8 +213,9 @@ def check(robot: Robot, effects: list[Planted]) -> None:
 
 
 def neighbour(robot: Robot, coupling: Planted) -> int:
-    """Index of the joint on the `side` of an effect's own; raises ValueError where there is none."""
-    side = coupling.word("side")
+    """Index of the joint on the `side` of an effect's own, of a shared friction the one before; raises
+    ValueError where there is none."""
+    side = "before" if coupling.effect == "coupled_friction" else coupling.word("side")
     index = robot.index(coupling.joint) + (-1 if side == "before" else 1)
     if not 0 <= index < len(robot.joints):
         raise ValueError(f"{coupling.effect}: {robot.name} has no joint {side} {coupling.joint}")

@@ -12,6 +12,9 @@ phi = theta - q, w = dtheta. Everything acts in this order where several effects
   w = 0 (Karnopp's model with located events), so no creep and no smoothing width. A stuck link has its
   acceleration removed from M q'' = tau_link by striking its row and column. Dahl's friction is a torque -z
   and never sticks; a breakaway level falls with the path since its start, z = 1 there.
+- coupled_friction: a shaft turns with w_s = w + s w_before, s = 1 (sum) or -1 (difference), and rubs with
+  f = level tanh(w_s/creep) + coefficient w_s: motor -f, the motor before -s f. It alone creeps instead of
+  sticking, at 5 mrad/s or more: two motors that are held by one shaft are no switch of a joint.
 - transmission: e = phi + transmission error, less half the gap on the engaged side (dead zone, located
   events as well); tau_t = K e + cubic e^3 + D phi' (0 inside the gap) + z + preload, with the z of Dahl's
   hysteresis as a state, or a creeping spring's stiffness z in its place.
@@ -59,6 +62,7 @@ __all__ = [
 
 
 BY_LOAD = ("load_friction", "drive_efficiency", "gear_ripple", "loaded_drag")
+CREEP = 5e-3  # rad/s of a shared friction, at least
 SUBSTITUTIONS = 4  # of a rigid joint's tau_t into BY_LOAD; each leaves some 10 % of the error before
 
 
@@ -306,6 +310,27 @@ class Equations:
         total += self._outside(outside.MOTOR, j, tau_t)
         if found := self._on("dahl_friction", j):
             total -= found[1] * self.z[j]
+        return total - self._shared_friction(j)
+
+    def _creep(self, p: Planted, own: int, before: int) -> float:
+        """Speed [rad/s] at which a shared friction creeps: what its level makes of the motors in 0.4 ms, two
+        of the machine's steps, and CREEP at least."""
+        lightness = 0.0 if self.rigid[own] else float(np.sum(1.0 / self.robot.motor_inertia[[own, before]]))
+        return max(CREEP, 4e-4 * p.value("level") * lightness)
+
+    def _shared_friction(self, j: int) -> ca.SX:
+        """What shafts that turn with joint j and the one before, or the one behind, take of motor j's
+        torque."""
+        total = ca.SX(0)
+        for k, p in enumerate(self.effects):
+            if p.effect != "coupled_friction":
+                continue
+            own, before = self.robot.index(p.joint), neighbour(self.robot, p)
+            sign = 1.0 if p.word("speed") == "sum" else -1.0
+            w = self.dtheta[own] + sign * self.dtheta[before]
+            f = p.value("level") * ca.tanh(w / self._creep(p, own, before)) + p.value("coefficient") * w
+            f *= self.gates[k]
+            total += f if j == own else sign * f if j == before else 0
         return total
 
     def _motor_inertia(self, j: int) -> ca.SX:

@@ -145,6 +145,10 @@ def _beyond(
     elif effect == "joint_coupling":
         parameters = {"share": 0.08 * s * sign}
         words = {"side": str(rng.choice(_sides(robot, joint)))}
+    elif effect == "coupled_friction":
+        _sides(robot, joint)
+        parameters = {"level": 0.035 * limit * s, "coefficient": 0.2 * robot.motor_damping[j] * s}
+        words = {"speed": str(rng.choice(["sum", "difference"]))}
     else:
         assert effect == "periodic_disturbance", effect
         parameters = {"amplitude": 0.025 * limit * s, "frequency": rng.uniform(2, 12), "phase": phase}

@@ -103,7 +103,7 @@ GAP = {"effect": "backlash", "joint": "elbow", "gap": 0.01}
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"stiffness": 3}, "unknown key 'stiffness'; valid: base, contacts, continuous, effects"),
+        ({"stiffness": 3}, "unknown key 'stiffness'; valid: base, contacts, continuous, couplings"),
         ({"joint": {}}, r"unknown key 'joint' \(did you mean 'joints'"),
         ({"name": None}, "name is missing; every robot needs it"),
         ({"joints": None}, "joints is missing"),
@@ -114,7 +114,7 @@ GAP = {"effect": "backlash", "joint": "elbow", "gap": 0.01}
         ({"joints": {"elbow": {**JOINT, "damping": float("nan")}}}, "joints.elbow.damping"),
         ({"joints": {"elbow": {"stiffness": 260}}}, "joints.elbow.motor_inertia is missing"),
         ({"joints": {"ellbow": JOINT}}, r"'ellbow' \(did you mean 'elbow'\?\); valid: elbow, shoulder"),
-        ({"tolerance": {"mass": 0.1}}, "in tolerance: unknown key 'mass'; valid: damping, inertial"),
+        ({"tolerance": {"mass": 0.1}}, "in tolerance: unknown key 'mass'; valid: com, damping, inertial"),
         ({"rates": {"physics": 0}}, "rates.physics: .*greater than or equal to 1"),
         ({"gravity": [0, -9.81]}, "gravity"),
         ({"base": "mobile"}, "base: .*'fixed' or 'floating', got 'mobile'"),

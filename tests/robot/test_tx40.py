@@ -33,6 +33,8 @@ def read() -> Recording:
 
 def test_it_is_rigid_and_reads_motors_alone() -> None:
     assert all(joint.rigid for joint in robot().joints) and robot().effects == ()
+    (coupling,) = robot().couplings
+    assert (coupling.joints, coupling.matrix) == ((4, 5), ((1.0, 0.0), (1.0, 1.0)))
     assert {channel for channel, _ in read().columns} == {"theta", "tau_motor"}
     assert read().joints == robot().joint_names and read().notes == ()
     assert (FOLDER / "LICENSE-DATA").read_text(encoding="utf-8").count("Apache License") >= 2
@@ -47,8 +49,10 @@ def test_the_motors_give_what_the_body_and_the_published_friction_take() -> None
     q, v, a = (gaussian_filter1d(theta, WIDTH, axis=0, order=k) / PERIOD**k for k in range(3))
     model = robot().model
     data = model.createData()
-    rotors = np.array([float(joint.drive.B) for joint in robot().joints])
-    body = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)]) + rotors * a
+    turns = np.eye(6)
+    turns[5, 4] = 1.0  # motor 6 turns with joints 5 and 6
+    rotors = turns.T @ np.diag([float(joint.drive.B) for joint in robot().joints]) @ turns
+    body = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)]) + a @ rotors
     friction = DRY * np.tanh(v / SLOW) + VISCOUS * v
     both = v[:, 4:].sum(axis=1)
     friction[:, 4:] += (SHARED_DRY * np.tanh(both / SLOW) + SHARED_VISCOUS * both)[:, np.newaxis]

@@ -41,7 +41,12 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 # ------------------------------------------------------------------ agreement
-@pytest.mark.parametrize("planned", one_of_each("joint"), ids=lambda planned: planned.effect.name)
+ALONE = [
+    e for e in one_of_each("joint") if not e.effect.reaches_before
+]  # the others: test_coupled_schemes.py
+
+
+@pytest.mark.parametrize("planned", ALONE, ids=lambda planned: planned.effect.name)
 def test_every_effect_agrees_over_a_second(planned: Planned) -> None:
     loops_agree(make(PENDULUM), [planned])
 

@@ -38,7 +38,7 @@ from planting import (
     robot_file,
 )
 from planting.cases import INEXACT, Case, met_by
-from planting.catalogue import DRY_MOTOR
+from planting.catalogue import DRY_MOTOR, TWO_JOINTS
 from planting.dirty import dirty
 from planting.drawn import in_logarithm
 from planting.sensing import CURRENT
@@ -132,7 +132,7 @@ MOTOR_EFFECTS = {
     *DRY_MOTOR,
     "dahl_friction",
     "torque_speed_limit",
-    "joint_coupling",
+    *TWO_JOINTS,
 }
 ENCODER_CONSTANTS = {"link_encoder_offset", "motor_encoder_offset", "spring_preload"}
 BY_CURRENT = {"torque_delay", "torque_saturation", "current_lag", "torque_speed_limit", "joint_coupling"}
@@ -371,7 +371,7 @@ def _with(
 
 def _sits_on(effect: str, robot: str) -> bool:
     """A payload on a vertical axis shows its inertia only, not its mass; a coupling takes two joints."""
-    if effect == "joint_coupling":
+    if effect in TWO_JOINTS:
         return len(read_robot(robot_file(robot)).joints) > 1
     return not (effect == "payload" and robot == "turret")
 

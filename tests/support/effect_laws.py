@@ -122,6 +122,10 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
             "rate": lambda i: -i.z * abs(i.s.dtheta) / i.p.distance,
         },
     ),
+    "coupled_friction": (
+        "level N m, coefficient N m s/rad",
+        {"torque": lambda i: -i.s.dtheta * i.p.coefficient, "level": lambda i: i.p.level},
+    ),
     "current_lag": (
         "time_constant s",
         {

@@ -114,7 +114,11 @@ class Balances:
         for e in effects:
             if e.joint in own and e.effect.site is not Site.BODY:
                 own[e.joint].append(e)
-        return [self.chains.get(i, [*effects_of, *bodies]) for i, effects_of in enumerate(own.values())]
+        lists = list(own.values())
+        mates = self.chains.ties.mates(effects)
+        for i, joints in mates.items():
+            lists[i] = [e for k in sorted(joints) for e in own[self.motion.robot.joints[k].name]]
+        return [self.chains.get(i, [*effects_of, *bodies]) for i, effects_of in enumerate(lists)]
 
     def _row(self, row: Row, chain: Chain, load: np.ndarray | float) -> np.ndarray:
         if row.balance == MOTOR:
@@ -183,8 +187,9 @@ def balances_of(robot: Robot, recording: Recording, settings: Settings = USUAL) 
 
 def acts_within_a_joint(e: Planned) -> bool:
     """Whether an effect changes the balances of its own joint only: a body's load, and an encoder's angle,
-    by which bodies are moved, change those of others."""
-    return e.joint is not None and e.effect.site not in (Site.BODY, Site.SENSOR)
+    by which bodies are moved, change those of others, and so does friction that acts on a neighbour, too."""
+    within = e.effect.site not in (Site.BODY, Site.SENSOR) and not e.effect.reaches_before
+    return e.joint is not None and within
 
 
 def _rows(motion: Motion) -> list[Row]:

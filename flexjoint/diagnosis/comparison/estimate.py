@@ -7,18 +7,20 @@ from the links' dynamics.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flexjoint.core.errors import RecordingError, SimulationError
+from flexjoint.core.ops import Value
 from flexjoint.effects import Signals, Site
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.joint import neighbours
 from flexjoint.model.statics.equilibrium import deflection, equilibrium
 from flexjoint.recording.smooth import local_polynomial, noise
 from flexjoint.recording.table import Recording
+from flexjoint.robot.robot import Joint
 from flexjoint.simulation.schemes import make_step
 from flexjoint.simulation.sensors import spans
 from flexjoint.simulation.simulate import command_rate, torque_channel, torque_over
@@ -224,7 +226,7 @@ class StateEstimator:
         heavy = tuple(replace(j, drive=replace(j.drive, B=HEAVY * j.drive.B)) for j in model.joints)
         kept = [e for e in model.effects if e.effect.site not in (Site.COMMAND, Site.MOTOR, Site.SENSOR)]
         kept = [e for e in kept if not e.effect.states]
-        driven = FlexibleJointModel(replace(model.robot, joints=heavy), kept)
+        driven = FlexibleJointModel(replace(model.robot, joints=heavy, couplings=()), kept)
         rate = model.robot.rates.physics
         begin, end = self.recording.time[[0, -1]]
         time = begin + np.arange(int((end - begin) * rate) + 1) / rate
@@ -294,23 +296,40 @@ class StateEstimator:
         for i, joint in enumerate(model.joints):
             if not model.flows[i].stateful:
                 continue
-            q, dq, _ = self._smooth("q", joint.name, time)
-            theta, dtheta, _ = (q, dq, None) if joint.rigid else self._smooth("theta", joint.name, time)
+            moved, at_motor = self._moved(joint, time), self._motor_of(i, time, torque)
             command, *beside = torque[i], *neighbours(torque, i)
-            for slot, value in model.flows[i].steady_state(Signals(q=q[0], theta=theta[0]), command[0]):
+            q, _, theta, _ = moved if at_motor is None else at_motor[:4]
+            first = command[0] if at_motor is None else at_motor[4][0]
+            for slot, value in model.flows[i].steady_state(Signals(q=q[0], theta=theta[0]), first):
                 out[0, slot] = value
-            columns = np.broadcast_arrays(time - time[0], q, dq, theta, dtheta, command, *beside)
-            table = np.stack(columns, axis=1).tolist()
+            table = _rows(time - time[0], moved, command, beside)
+            turning = None if at_motor is None else _rows(time - time[0], at_motor[:4], at_motor[4], beside)
             z = out[0].tolist()
             for phase, rows in spans(model, time - time[0]):
                 flow = phase.flows[i]
                 for k in range(max(rows.start, 1), rows.stop):
-                    t, q0, dq0, theta0, dtheta0, *torques = table[k - 1]
-                    s = Signals(t, q0, dq0, theta0, dtheta0, theta0 - q0, dtheta0 - dq0, 0.0, *torques)
-                    for slot, value in flow.advanced(s, z, table[k][0] - t):
+                    s, shaft = _at(table[k - 1]), None if turning is None else _at(turning[k - 1])
+                    for slot, value in flow.advanced(s, z, table[k][0] - s.t, shaft):
                         z[slot] = value
                         out[k, slot] = value
         return out
+
+    def _moved(self, joint: Joint, time: np.ndarray) -> list[np.ndarray]:
+        """q, dq, theta and dtheta (N,) of a joint."""
+        q, dq, _ = self._smooth("q", joint.name, time)
+        theta, dtheta, _ = (q, dq, None) if joint.rigid else self._smooth("theta", joint.name, time)
+        return [q, dq, theta, dtheta]
+
+    def _motor_of(self, i: int, time: np.ndarray, torque: np.ndarray) -> list[np.ndarray] | None:
+        """The same of a motor that turns with several joints, and its command; None where it is its
+        joint's."""
+        for group in self.model.groups:
+            for shaft in group.shafts:
+                if shaft.joint == i and shaft.takes:
+                    moved = {j: self._moved(self.model.joints[j], time) for j in shaft.turns}
+                    turned = [shaft.turned({j: x[k] for j, x in moved.items()}) for k in range(4)]
+                    return [*turned, shaft.torque({j: torque[j] for j in shaft.takes})]
+        return None
 
     def _torques(self) -> np.ndarray:
         """(n, N) motor torques from each sample to the next, those of the springs where none are recorded: an
@@ -324,3 +343,16 @@ class StateEstimator:
             q, theta = (self._smooth(channel, names[i], time)[0] for channel in ("q", "theta"))
             out[i] = self.model.flows[i].drive.K * (theta - q)
         return out
+
+
+def _rows(
+    t: np.ndarray, moved: Sequence[np.ndarray], command: np.ndarray, beside: Sequence[Value]
+) -> list[list[float]]:
+    """Time, q, dq, theta, dtheta, command and the neighbours' commands, by sample."""
+    rows: list[list[float]] = np.stack(np.broadcast_arrays(t, *moved, command, *beside), axis=1).tolist()
+    return rows
+
+
+def _at(row: Sequence[float]) -> Signals:
+    t, q, dq, theta, dtheta, *torques = row
+    return Signals(t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, *torques)

@@ -109,15 +109,14 @@ class Balance:
         load = body.rnea_batch(*self.motion(view))
         link = {name: _moved(data.link, name, view) for name in self._names}
         motor = {name: _moved(data.motor, name, view) for name in self._names}
-        of_motor, of_link = [], []
+        of, of_link = [], []
+        z = np.zeros((max(self.model.nz, 1), 1))
         for flow in self.model.flows:
             name = flow.joint.name
-            theta, dtheta, ddtheta = motor[name]
-            s = Signals(0.0, link[name][0], link[name][1], theta, dtheta)
-            on_motor, on_link = flow.torques(s, np.zeros((max(self.model.nz, 1), 1)))
-            needed = load[:, flow.joint.idx_v] - on_link
-            of_link.append(needed)
-            of_motor.append(needed - on_motor + flow.drive.B * ddtheta + flow.drive.D_m * dtheta)
+            of.append(Signals(0.0, link[name][0], link[name][1], motor[name][0], motor[name][1]))
+            of_link.append(load[:, flow.joint.idx_v] - flow.torques(of[-1], z)[1])
+        own = self.model.motor_torques(of, [motor[name][2] for name in self._names], z)
+        of_motor = [needed + torque for needed, torque in zip(of_link, own, strict=True)]
         return Taken(np.array(of_motor), np.array(of_link), link, motor)
 
     # ------------------------------------------------------------------ how well they agree

@@ -156,6 +156,9 @@ def _torque(robot: Robot, q: Array, time: Array) -> Array:
     full_q[:, [joint.idx_q for joint in robot.joints]] = q
     full_v[:, rows], full_a[:, rows] = v, a
     load = np.array([body.rnea(*row) for row in zip(full_q, full_v, full_a, strict=True)])[:, rows]
-    inertia = np.array([joint.drive.B for joint in robot.joints])
-    damping = np.array([joint.drive.D_m for joint in robot.joints])
-    return load + inertia * a + damping * v
+    inertia = np.diag([joint.drive.B for joint in robot.joints])
+    damping = np.diag([joint.drive.D_m for joint in robot.joints])
+    for coupling in robot.couplings:
+        turns, at = np.array(coupling.matrix), np.ix_(coupling.joints, coupling.joints)
+        inertia[at], damping[at] = turns.T @ inertia[at] @ turns, turns.T @ damping[at] @ turns
+    return load + a @ inertia + v @ damping

@@ -17,10 +17,12 @@ from flexjoint.diagnosis.signals.jumps import Unknown, jumps, unknown_shapes
 from flexjoint.diagnosis.signals.signals import Readings
 from flexjoint.effects import Drive, Effect, Parameter, Planned, Site, effect
 from flexjoint.robot.robot import Robot
+from flexjoint.robot.schema import COM_AT_ORIGIN
 
 TURN = 2.0 * np.pi  # rad, of an encoder: no offset is larger
 STEP = 0.01  # prior deviations, of a derivative where friction sticks: a whole one may break it loose
 REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
+AT_ORIGIN = 1e-6  # m, rounding of a description
 JUMP = "jump between samples"
 JUMP_MEMORY = 1e8  # bytes of all of them: the largest ones, where there are more
 
@@ -101,7 +103,8 @@ def as_effects(
         elif number.name == "inertial":
             i = robot.joint_names.index(number.joint)
             if number.joint not in directions:
-                directions[number.joint] = iter(inertial_directions(nominal[i], number.std, other_component))
+                own = inertial_directions(nominal[i], number.std, other_component, robot.tolerance.com)
+                directions[number.joint] = iter(own)
                 added[number.joint] = np.zeros(10)
             added[number.joint] += next(directions[number.joint]) * float(deviation)
     out = [  # reading = true + offset
@@ -148,11 +151,14 @@ class Columns:
             drive, s = joint.drive, self.balances.chains.jomega
             theta = self._spectrum(self.motion.theta[i])
             phi = theta - self._spectrum(self.motion.q[i])
-            shaft = {"motor_inertia": drive.B * s**2 * theta, "motor_damping": drive.D_m * s * theta}
+            turns = self.balances.chains.ties.turns(i)  # of its motor by joint
+            turned = sum(n * self._spectrum(self.motion.theta[j]) for j, n in turns.items())
+            shaft = {"motor_inertia": drive.B * s**2 * turned, "motor_damping": drive.D_m * s * turned}
             spreads = {"motor_inertia": tolerance.inertial, "motor_damping": tolerance.damping}
             for name, spectrum in shaft.items():
                 if self._row(MOTOR, i) is not None:
-                    columns.append(self._column({(MOTOR, i): -spreads[name] * spectrum}))
+                    entries = {(MOTOR, j): -n * spreads[name] * spectrum for j, n in turns.items()}
+                    columns.append(self._column(entries))
                     self.nuisance.append(NominalNumber(name, joint=joint.name, std=spreads[name]))
             if joint.rigid:
                 continue
@@ -168,14 +174,15 @@ class Columns:
     def _inertial_columns(self) -> list[np.ndarray]:
         """Mass, centre of mass and inertia about it of every actuated link, each with its own tolerance."""
         tolerance, other = self.robot.tolerance.inertial, self._readings.settings.regression.other_component
+        com = self.robot.tolerance.com
         columns: list[np.ndarray] = []
-        if tolerance == 0:
+        if tolerance == 0 and not com:
             return columns
         for i, joint in enumerate(self.robot.joints):
             nominal = self.motion.rigid.inertial[i]
             if nominal[0] <= 0:
                 continue
-            for direction in inertial_directions(nominal, tolerance, other):
+            for direction in inertial_directions(nominal, tolerance, other, com):
                 columns.append(self._column(self._load_rows(self.balances.inertial_torque(i, direction))))
                 self._directions[len(self.nuisance)] = direction
                 self.nuisance.append(NominalNumber("inertial", joint=joint.name, std=tolerance))
@@ -361,18 +368,26 @@ def entangles(e: Planned) -> bool:
     return e.effect.overrides("level") or e.effect.site in (Site.DEFLECTION, Site.SENSOR)
 
 
-def inertial_directions(nominal: np.ndarray, tolerance: float, other_component: float) -> list[np.ndarray]:
+def inertial_directions(
+    nominal: np.ndarray, tolerance: float, other_component: float, com: float | None = None
+) -> list[np.ndarray]:
     """One-deviation changes of (m, m c, I) for mass, centre of mass and inertia about it: ten directions.
 
-    A small component of the centre of mass is trusted to the share `other_component` of its length, a product
-    of inertia to the same share of the trace."""
+    The centre of mass is trusted to `com` [m] along each axis. Without, to the tolerance of each component, a
+    small one to the share `other_component` of its length; at the joint's origin, where a description states
+    none, to COM_AT_ORIGIN. A product of inertia is trusted to the same share of the trace."""
     m, c = nominal[0], nominal[1:4] / nominal[0]
     directions = []
     unit = np.concatenate([[1.0], c, _second(c, c)])
     directions.append(tolerance * m * unit)
     length = float(np.linalg.norm(c))
     for axis in np.eye(3):
-        step = tolerance * (abs(float(axis @ c)) + other_component * length) * axis
+        size = tolerance * (abs(float(axis @ c)) + other_component * length)
+        if com is not None:
+            size = com
+        elif length < AT_ORIGIN and tolerance > 0.0:
+            size = COM_AT_ORIGIN
+        step = size * axis
         directions.append(np.concatenate([[0.0], m * step, m * (_second(c, step) + _second(step, c))]))
     central = nominal[4:] - m * _second(c, c)
     trace = central[0] + central[2] + central[5]

@@ -213,10 +213,18 @@ class Noise:
         columns = tuple(k * n + np.arange(n) for k in range(4))
         q, theta = columns[:2]
         links = [joint.rigid for joint in balances.motion.robot.joints]
+        ties = balances.chains.ties
         for r, row in enumerate(balances.rows):
             drive = self.drives[row.joint]
+            if row.joint in ties.coupled:
+                drive = replace(drive, B=0.0, D_m=0.0)
+                for k, motor in enumerate(self.drives) if row.balance == MOTOR else ():
+                    turns = ties.turns(k)
+                    for j, share in turns.items() if row.joint in turns and k in ties.coupled else ():
+                        shaft = turns[row.joint] * share * (motor.B * s**2 + motor.D_m * s)
+                        transfer[:, r, theta[j]] -= shaft
             for column, entry in _row_transfer(row, drive, links[row.joint], s, columns):
-                transfer[:, r, column] = entry
+                transfer[:, r, column] += entry
             if row.balance == LINK or (row.balance == MOTOR and links[row.joint]):
                 for k in range(n):
                     load = by_q[row.joint, k] + by_v[row.joint, k] * s + mass[row.joint, k] * s**2

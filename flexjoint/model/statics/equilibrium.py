@@ -34,7 +34,9 @@ class Equilibrium:
     tau (N, n): what the springs carry [N m], and so the torque on the motors, their own effects aside.
     gravity (N, n): g(q) [N m].
     tau_m (N, n): the motor torque command that holds the pose, through command and motor effects [N m].
-    friction (N, n): by how much the motor's torque may differ from that and dry friction still hold it [N m].
+    friction (N, n): by how much the motor's torque may differ from that and dry friction still hold it [N m];
+    of
+        a motor that turns with several joints, at its own position.
     z (N, nz): internal states of effects.
     forces (N, c, 6): of the contacts on the robot, force before moment, along world axes [N, N m].
     unbalanced (N, nv - n): generalised forces of the coordinates without a motor that nothing holds.
@@ -97,21 +99,27 @@ def equilibrium(
 
     z = np.tile(model.rest().z, (len(q), 1))
     phi = np.zeros_like(load)
-    needed, friction = np.empty_like(load), np.empty_like(load)
+    friction = np.empty_like(load)
     for i, flow in enumerate(model.flows):
         link = links[:, i]
         if path and flow.stateful:
             phi[:, i] = _along(flow, link, load[:, i], z)
         elif not flow.joint.rigid:
             phi[:, i] = deflection(flow, link, load[:, i])
-        s = _resting(link, phi[:, i], load[:, i])
-        needed[:, i] = load[:, i] - flow.torques(s, z.T)[0]
-    tau_m, given = _commands(model, links, phi, load, needed)
-    for i, flow in enumerate(model.flows):
-        s = _resting(links[:, i], phi[:, i], load[:, i], tau_m.T, i)
+    resting = [_resting(links[:, i], phi[:, i], load[:, i]) for i in range(len(model.flows))]
+    needed = _needed(model, resting, load, z)
+    tau_m, given = _commands(model, resting, needed)
+    commanded = _commanded(resting, tau_m)
+    for i, (flow, s) in enumerate(_motors(model, commanded)):
         friction[:, i] = flow.motor_level(s, z.T)
-        for slot, value in flow.steady_state(s, tau_m[:, i]):
+        for slot, value in flow.steady_state(s, s.tau_m):
             z[:, slot] = value
+    for group in model.groups:
+        for shaft in group.shafts:
+            if not shaft.takes:
+                level = shaft.flow.motor_level(shaft.signals({i: commanded[i] for i in group.joints}), z.T)
+                for i, share in shaft.turns.items():
+                    friction[:, i] += np.abs(share) * level
     result = Equilibrium(
         q=q,
         theta=links + phi,
@@ -224,23 +232,79 @@ def _own(flow: JointFlow, size: int) -> np.ndarray:
     return out
 
 
+def _needed(
+    model: FlexibleJointModel, resting: Sequence[Signals], load: np.ndarray, z: np.ndarray
+) -> np.ndarray:
+    """(N, n) torques that the motors have to give, each at its own position: of a coupled one not the
+    joint's."""
+    needed = np.empty_like(load)
+    for i, (flow, s) in enumerate(_motors(model, resting)):
+        needed[:, i] = s.tau_t - flow.torques(s, z.T)[0]
+    for group in model.groups:
+        at_joints = np.zeros((len(model.flows), len(load)))
+        of = {i: resting[i] for i in group.joints}
+        for shaft in group.shafts:
+            if not shaft.takes:  # what else acts on these joints
+                torque = shaft.flow.torques(shaft.signals(of), z.T)[0]
+                for i, share in shaft.turns.items():
+                    at_joints[i] += share * torque
+        for shaft in group.shafts:
+            if shaft.takes:
+                needed[:, shaft.joint] -= shaft.torque({i: at_joints[i] for i in group.joints})
+    return needed
+
+
+def _motors(model: FlexibleJointModel, of: Sequence[Signals]) -> list[tuple[JointFlow, Signals]]:
+    """Each joint's motor, with what its laws see."""
+    out = list(zip(model.flows, of, strict=True))
+    for group in model.groups:
+        for shaft in group.shafts:
+            if shaft.takes:
+                out[shaft.joint] = shaft.flow, shaft.signals({i: of[i] for i in group.joints})
+    return out
+
+
+def _commanded(resting: Sequence[Signals], tau_m: np.ndarray) -> list[Signals]:
+    """The signals with commands (N, n), of which they are views."""
+    out = []
+    for i, s in enumerate(resting):
+        before, after = neighbours(tau_m.T, i)
+        out.append(replace(s, tau_m=tau_m[:, i], tau_m_before=before, tau_m_after=after))
+    return out
+
+
 def _commands(
-    model: FlexibleJointModel, links: np.ndarray, phi: np.ndarray, load: np.ndarray, needed: np.ndarray
+    model: FlexibleJointModel, resting: Sequence[Signals], needed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, n) the commands that give the motors the torques needed, and the torques that they do give: joint
     after joint, again as long as a command acts on a neighbour's motor too."""
-    tau_m, given = needed.copy(), np.empty_like(needed)
+    tau_m, given = _at_joints(model, needed), np.empty_like(needed)
+    own = needed.copy()  # commands, each at its motor
+    commanded = _commanded(resting, tau_m)
     for _ in range(SWEEPS):
         before = tau_m.copy()
-        for i, flow in enumerate(model.flows):
-            s = _resting(links[:, i], phi[:, i], load[:, i], tau_m.T, i)
-            tau_m[:, i], given[:, i] = _command(flow, s, needed[:, i])
+        for i in range(len(model.flows)):
+            flow, s = _motors(model, commanded)[i] if i in model.grouped else (model.flows[i], commanded[i])
+            own[:, i], given[:, i] = _command(flow, s, needed[:, i])
+            tau_m[:, i] = own[:, i]
+            if i in model.grouped:
+                tau_m[:] = _at_joints(model, own)
         if np.all(np.abs(tau_m - before) <= REACHED * (1.0 + np.abs(tau_m))):
             return tau_m, given
     raise ModelError(
         "the joints' commands act on each other so much that none hold this pose; check the effects on the"
         " command"
     )
+
+
+def _at_joints(model: FlexibleJointModel, motors: np.ndarray) -> np.ndarray:
+    """(N, n) torques at the joints from those of the motors."""
+    out = motors.copy()
+    for group in model.groups:
+        own = [motors[:, shaft.joint] if shaft.takes else 0.0 for shaft in group.shafts]
+        for i, torque in group.at_joints(own).items():
+            out[:, i] = torque
+    return out
 
 
 def _command(flow: JointFlow, s: Signals, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -271,18 +335,9 @@ def _link_torque(model: FlexibleJointModel, q: np.ndarray) -> np.ndarray:
     return out
 
 
-def _resting(
-    q: np.ndarray,
-    phi: np.ndarray,
-    tau_t: np.ndarray | float,
-    tau_m: np.ndarray | None = None,
-    i: int = 0,
-) -> Signals:
-    """Signals of joint i at rest, with the commands tau_m (n, N) of all joints where they are known."""
-    s = Signals(q=q, theta=q + phi, phi=phi, tau_t=tau_t)
-    if tau_m is not None:
-        s.tau_m, (s.tau_m_before, s.tau_m_after) = tau_m[i], neighbours(tau_m, i)
-    return s
+def _resting(q: np.ndarray, phi: np.ndarray, tau_t: np.ndarray | float) -> Signals:
+    """Signals of a joint at rest."""
+    return Signals(q=q, theta=q + phi, phi=phi, tau_t=tau_t)
 
 
 def _overloaded(flow: JointFlow, pose: int, load: np.ndarray) -> ModelError:

@@ -41,7 +41,6 @@ class CompiledRates(FlexibleJointModel):
         buffers = (self._x, self._u, self._constants)
         self._inputs = tuple(buffer.ctypes.data for buffer in buffers)
         self._output = self._out.ctypes.data
-        self._rubs = any(flow.motor_rubs or flow.link_rubs for flow in self.flows)
 
     @cached_property
     def phases(self) -> tuple[tuple[float, FlexibleJointModel], ...]:
@@ -57,7 +56,7 @@ class CompiledRates(FlexibleJointModel):
 
     def rates(self, state: State, tau_m: Value, width: Value | None) -> Rates:
         """As FlexibleJointModel.rates, with which it agrees to rounding."""
-        if width is None and self._rubs:
+        if width is None and self.rubs:
             return super().rates(state, tau_m, width)
         self._x[:] = self.pack(state)
         self._u[:] = tau_m

@@ -82,7 +82,7 @@ def _structure(
     springs = tuple(sorted((name, id(s.stiffness), id(s.damping)) for name, s in model.springs.items()))
     timing = (*timing, robot.rates.control, robot.file.sensing_delay)
     ground = robot.contacts, robot.ground
-    return id(robot.model), ground, joints, effects, springs, control, timing, tuple(free)
+    return id(robot.model), ground, robot.couplings, joints, effects, springs, control, timing, tuple(free)
 
 
 def _words(law: Any) -> Any:

@@ -67,8 +67,7 @@ class Scheme(ABC):
     def check(self, model: FlexibleJointModel, width: float | None) -> None:
         """Raises SimulationError for a scheme that smooths dry friction and has no width > 0, and for rigid
         ground where the step takes none."""
-        rubs = any(flow.motor_rubs or flow.link_rubs for flow in model.flows)
-        if rubs and not self.sticks and not (width is not None and width > 0.0):
+        if model.rubs and not self.sticks and not (width is not None and width > 0.0):
             raise SimulationError(
                 f"{self.name} smooths dry friction as level tanh(velocity / width): give a width > 0 [rad/s],"
                 f" or use {DEFAULT}, where it sticks (got width={width})"

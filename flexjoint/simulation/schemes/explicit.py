@@ -7,9 +7,10 @@ from typing import ClassVar
 import numpy as np
 
 from flexjoint.core import ops
+from flexjoint.core.errors import SimulationError
 from flexjoint.core.ops import Value
 from flexjoint.model.dynamics import FlexibleJointModel, Rates, State
-from flexjoint.simulation.schemes.base import Scheme, Step
+from flexjoint.simulation.schemes.base import DEFAULT, Scheme, Step
 from flexjoint.simulation.schemes.friction import SWEEPS, directed, friction_forces
 
 
@@ -41,6 +42,12 @@ class SemiImplicitEuler(Scheme):
     contact_damping = 2.0
 
     def _step(self, model: FlexibleJointModel, h: float, width: float | None) -> Step:
+        if model.groups and model.rubs:
+            names = ", ".join(model.joints[i].name for i in sorted(model.grouped))
+            raise SimulationError(
+                f"{self.name} takes no dry friction beside coupled motors ({names}); use {DEFAULT}, or a"
+                " scheme that smooths it"
+            )
         rub = _Rubbing(model, h)
 
         def step(x: State, tau_m: Value) -> State:

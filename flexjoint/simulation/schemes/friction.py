@@ -45,3 +45,20 @@ def directed(size: Value, direction: Value) -> Value:
     """|size|, at least TINY, with the sign of direction: dry friction resists the motion to come."""
     size = ops.maximum(ops.absolute(size), TINY)
     return ops.where(direction < 0.0, -size, size)
+
+
+def rubbed(start: Value, midpoint: Value, free: Value, shed: Value, h: float) -> tuple[Value, Value]:
+    """Velocity and acceleration at the end of a step with dry friction, from the velocities at its start
+    and midpoint and the accelerations without friction and by its level alone.
+
+    A motion that comes to rest within the step stays there, or turns and goes on for what is left of it:
+    the midpoint rule alone would ring about rest for ever.
+    """
+    side = ops.where(start < 0.0, -1.0, 1.0)
+    braking = shed - side * free
+    onward = ops.maximum(-side * free - shed, 0.0)
+    speed = ops.absolute(start)
+    rests = ops.both(speed > 0.0, speed < h * braking)
+    left = h - speed / ops.maximum(braking, TINY)
+    end = ops.where(rests, -side * onward * left, 2.0 * midpoint - start)
+    return end, ops.where(rests, -side * onward, (midpoint - start) / (0.5 * h))

@@ -11,25 +11,29 @@ that depend on anything else are evaluated at the predicted midpoint (q + a v, v
 ...), whose error is O(h^2), so order 2 holds; what resists a velocity is linearised in it. Compliant
 contacts (`flexjoint.model.contact.compliant`) give such forces; anchors slip at the predicted midpoint. Rigid
 ones (`flexjoint.model.contact.rigid`) are impulses on the links' midpoint and end velocities, with that
-armature.
+armature. Joints whose motors turn together are in coupled.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from flexjoint.core import ops
+from flexjoint.core.errors import ModelError
 from flexjoint.core.ops import Value
 from flexjoint.effects import Signals
 from flexjoint.model.contact.compliant import Touch
 from flexjoint.model.contact.rigid import HalfStep, RigidContacts, RigidGround
 from flexjoint.model.dynamics import FlexibleJointModel, State
-from flexjoint.model.joint import JointFlow, neighbours
+from flexjoint.model.joint import JointFlow
 from flexjoint.simulation.schemes.base import DEFAULT, Scheme, Step, midpoint_matrix
-from flexjoint.simulation.schemes.friction import SWEEPS, TINY, directed, friction_forces
+from flexjoint.simulation.schemes.coupled import GroupStep, tied_step
+from flexjoint.simulation.schemes.friction import SWEEPS, TINY, directed, friction_forces, rubbed
+from flexjoint.simulation.schemes.midway import Midway
 
 
 class LinearlyImplicitMidpoint(Scheme):
@@ -76,15 +80,28 @@ class Midpoint:
         self.special = [
             (i, model.flexible.index(i) if i in model.flexible else -1, flow)
             for i, flow in enumerate(model.flows)
-            if flow.busy or flow.joint.rigid
+            if i not in model.grouped and (flow.busy or flow.joint.rigid)
         ]
-        self.stateful = any(flow.stateful for flow in model.flows)
+        self.stateful = any(flow.stateful for flow in model.flows) or any(
+            shaft.flow.stateful for group in model.groups for shaft in group.shafts
+        )
         self.rubbing = [
             i
             for i, flow in enumerate(model.flows)
-            if flow.link_rubs or (flow.joint.rigid and flow.motor_rubs)
+            if flow.link_rubs or (flow.joint.rigid and flow.motor_rubs and i not in model.grouped)
         ]
-        self.sweeps = 1 if len(self.rubbing) == 1 else SWEEPS
+        self.turning = [  # shafts that rub on links
+            (g, shaft)
+            for g, group in enumerate(model.groups)
+            for shaft in group.shafts
+            if group.rigid and shaft.flow.motor_rubs
+        ]
+        self.sweeps = 1 if len(self.rubbing) + len(self.turning) == 1 else SWEEPS
+        if model.groups and isinstance(model.ground, RigidGround):
+            raise ModelError(
+                "rigid ground takes no motors that several joints share"
+                f" ({model.joints[min(model.grouped)].name}); use ground: compliant"
+            )
         self.rigid_contacts = (
             RigidContacts(model.ground, model.body, [model.flows[i].joint.name for i in self.rubbing], h)
             if isinstance(model.ground, RigidGround)
@@ -101,62 +118,87 @@ class Midpoint:
         tau = model.zeros(model.nv)
         tau[self.of_v] = spring + self.kd * c0 - self.kap * _entries(x.v, self.of_v)
         lines: dict[int, Line] = {}
-        if self.special:
+        groups: list[GroupStep] = []
+        if self.special or model.groups:
             c1, armature = ops.copy(c1), ops.copy(armature)
-            at = _Midway(model, x, q_mid, v_mid, tau_m)
+            at = Midway(model, x, q_mid, v_mid, tau_m)
             for i, k, flow in self.special:
                 line = _rigid(flow, at, i, a) if k < 0 else _flexible(flow, at, i, k, a)
                 lines[i] = line
                 tau[flow.joint.idx_v], armature[flow.joint.idx_v] = line.tau, line.armature
                 if k >= 0:
                     c0[k], c1[k] = line.c0, line.c1
+            for group in model.groups:
+                groups.append(tied_step(model, group, at, a))
+                for r, i in enumerate(group.joints):
+                    lines[i] = Line(
+                        groups[-1].signals[i], groups[-1].tau[r], groups[-1].armature[r], tied=True
+                    )
+                    place = model.joints[i].idx_v
+                    tau[place], armature[place] = lines[i].tau, lines[i].armature
         touch = None
         half = None
         if model.ground is not None and self.rigid_contacts is None:
             touch = model.ground.touch(model.body, q_mid, v_mid, x.z, a)
             tau = tau + touch.tau
-        acc = model.body.aba(q_mid, v_mid, tau, armature)
+        blocks = [(model.places(tied.group), tied.block) for tied in groups]
+        accelerate = model.accelerating(q_mid, v_mid, armature, blocks)
+        acc = accelerate(tau)
         if self.rigid_contacts is not None:
             half = self.rigid_contacts.first_half(q_mid, x.v, x.z, acc, armature)
             acc = half.acc
-        if self.rubbing:
-            acc = self._rub(x, q_mid, v_mid, tau, armature, acc, lines)
-        return self._finish(x, tau_m, acc, c0, c1, lines, touch, half)
+        rubs: list[Rub] = []
+        if self.rubbing or self.turning:
+            acc, rubs = self._rub(x, accelerate, tau, acc, lines, groups)
+        return self._finish(x, tau_m, acc, c0, c1, lines, groups, rubs, touch, half)
 
     def _rub(
         self,
         x: State,
-        q_mid: Value,
-        v_mid: Value,
+        accelerate: Callable[[Value], Value],
         tau: Value,
-        armature: Value,
         acc: Value,
         lines: dict[int, Line],
-    ) -> Value:
+        groups: Sequence[GroupStep],
+    ) -> tuple[Value, list[Rub]]:
         """The acceleration under the links' dry friction f, which stops what it can of the midpoint velocity
-        v + a (acc - M^-1 f).
+        v + a (acc - M^-1 f), and that of shafts of rigid joints, n (v + a (acc - M^-1 n f)).
 
-        The columns M^-1 e_j come from the same ABA, which is affine in tau.
+        The columns M^-1 e_j, or M^-1 n, come from the same ABA, which is affine in tau.
         """
         model, a = self.model, self.a
-        places = [model.joints[i].idx_v for i in self.rubbing]
+        found = [Rub({model.joints[i].idx_v: 1.0}) for i in self.rubbing]
+        found += [
+            Rub({model.joints[j].idx_v: share for j, share in shaft.turns.items()})
+            for _, shaft in self.turning
+        ]
         columns, free, levels = [], [], []
-        for i, place in zip(self.rubbing, places, strict=True):
+        for rub in found:
             unit = ops.copy(tau)
-            unit[place] = unit[place] + 1.0
-            columns.append(model.body.aba(q_mid, v_mid, unit, armature) - acc)
-            free.append(x.v[place] + a * acc[place])
-            levels.append(lines[i].link_level(model.flows[i], x.z, free[-1]))
-        coupling = [[a * column[place] for column in columns] for place in places]
+            for place, share in rub.turns.items():
+                unit[place] = unit[place] + share
+            columns.append(accelerate(unit) - acc)
+            free.append(rub.along(x.v) + a * rub.along(acc))
+        for i, velocity in zip(self.rubbing, free, strict=False):
+            levels.append(lines[i].link_level(model.flows[i], x.z, velocity))
+        for (g, shaft), velocity in zip(self.turning, free[len(self.rubbing) :], strict=True):
+            s = groups[g].shaft_signals[model.groups[g].shafts.index(shaft)]
+            s.dtheta = s.dq = directed(s.dtheta, velocity)
+            levels.append(shaft.flow.motor_level(s, x.z))
+        coupling = [[a * rub.along(column) for column in columns] for rub in found]
         force = friction_forces(free, levels, coupling, self.sweeps, model.symbolic)
-        count = range(len(places))
-        for j in count:
-            acc = acc - columns[j] * force[j]
-        for j in count:
-            line, own = lines[self.rubbing[j]], columns[j][places[j]]
-            line.friction, line.link_sticks = force[j], ops.absolute(force[j]) < levels[j]
-            line.link_free, line.link_shed = acc[places[j]] + own * force[j], own * levels[j]
-        return acc
+        for column, own in zip(columns, force, strict=True):
+            acc = acc - column * own
+        for j, rub in enumerate(found):
+            own = rub.along(columns[j])
+            rub.sticks = ops.absolute(force[j]) < levels[j]
+            rub.free, rub.shed = rub.along(acc) + own * force[j], own * levels[j]
+            rub.response = columns[j] / own
+        for i, own in zip(self.rubbing, force, strict=False):
+            lines[i].friction = own
+        for (g, shaft), own in zip(self.turning, force[len(self.rubbing) :], strict=True):
+            groups[g].friction[model.groups[g].shafts.index(shaft)] = own
+        return acc, found
 
     def _finish(
         self,
@@ -166,6 +208,8 @@ class Midpoint:
         c0: Value,
         c1: Value,
         lines: dict[int, Line],
+        groups: Sequence[GroupStep],
+        rubs: Sequence[Rub],
         touch: Touch | None,
         half: HalfStep | None,
     ) -> State:
@@ -173,13 +217,20 @@ class Midpoint:
         v_mid = x.v + a * acc
         v = v_mid + a * acc
         carried = acc
-        if self.rubbing:
+        if rubs:
             acc = ops.copy(acc)
-        for i in self.rubbing:
-            place, line = model.joints[i].idx_v, lines[i]
-            v_mid[place] = ops.where(line.link_sticks, 0.0, v_mid[place])
-            v[place], acc[place] = _rubbed(x.v[place], v_mid[place], line.link_free, line.link_shed, h)
+        for i, rub in zip(self.rubbing, rubs, strict=False):
+            place = model.joints[i].idx_v
+            v_mid[place] = ops.where(rub.sticks, 0.0, v_mid[place])
+            v[place], acc[place] = rubbed(x.v[place], v_mid[place], rub.free, rub.shed, h)
+        for rub in rubs[len(self.rubbing) :]:
+            v_mid = v_mid - rub.response * ops.where(rub.sticks, rub.along(v_mid), 0.0)
+            before, middle = rub.along(x.v), rub.along(v_mid)
+            end, rate = rubbed(before, middle, rub.free, rub.shed, h)
+            v, acc = v + rub.response * (end - rub.along(v)), acc + rub.response * (rate - rub.along(acc))
         w_mid = c0 + c1 * _entries(v_mid, self.of_v)
+        for tied in groups:
+            tied.turn(w_mid, v_mid)
         w = 2.0 * w_mid - x.dtheta
         ddtheta = (w_mid - x.dtheta) / a
         tau_rigid = ops.copy(x.tau_rigid)
@@ -188,7 +239,9 @@ class Midpoint:
                 tau_rigid[model.rigid.index(i)] = lines[i].carried(carried[flow.joint.idx_v])
             elif flow.motor_rubs:
                 line = lines[i]
-                w[k], ddtheta[k] = _rubbed(x.dtheta[k], w_mid[k], line.free, line.shed, h)
+                w[k], ddtheta[k] = rubbed(x.dtheta[k], w_mid[k], line.free, line.shed, h)
+        for tied in groups:
+            tied.finish(x.dtheta, w_mid, carried, a, (w, ddtheta, tau_rigid))
         z = self._advance(x, tau_m, v_mid, w_mid) if self.stateful else x.z
         if touch is not None and model.ground is not None:
             rolled = [s + a * rate for s, rate in zip(touch.anchors, touch.rates, strict=True)]
@@ -205,7 +258,7 @@ class Midpoint:
         model = self.model
         z = ops.copy(x.z)
         q_mid = model.body.integrate(x.q, self.a * v_mid)
-        at = _Midway(model, x, q_mid, v_mid, tau_m)
+        at = Midway(model, x, q_mid, v_mid, tau_m)
         speeds = ops.items(w_mid)
         for i, k, flow in self.special:
             if not flow.stateful:
@@ -216,7 +269,32 @@ class Midpoint:
                 s.phi, s.dphi = s.theta - s.q, s.dtheta - s.dq
             for slot, value in flow.advanced(s, at.z, self.h):
                 z[slot] = value
+        for group in model.groups:
+            of = {}
+            for i in group.joints:
+                k = -1 if group.rigid else model.flexible.index(i)
+                of[i] = s = at.signals(i, k, self.a)
+                if k >= 0:
+                    s.theta, s.dtheta = at.theta[k] + self.a * speeds[k], speeds[k]
+                    s.phi, s.dphi = s.theta - s.q, s.dtheta - s.dq
+            for shaft in group.shafts:
+                for slot, value in shaft.flow.advanced(of[shaft.joint], at.z, self.h, shaft.signals(of)):
+                    z[slot] = value
         return z
+
+
+@dataclass(slots=True)
+class Rub:
+    """Dry friction that acts on links, along `turns` by place in v: a link's own, or that of a shaft."""
+
+    turns: dict[int, Value]
+    sticks: Value = False
+    free: Value = 0.0  # accelerations: without its friction, and by its level
+    shed: Value = 0.0
+    response: Value = 0.0  # (nv,) change of the velocities where it changes its own by one
+
+    def along(self, velocity: Value) -> Value:
+        return sum((share * velocity[place] for place, share in self.turns.items()), 0.0)
 
 
 @dataclass(slots=True)
@@ -232,19 +310,17 @@ class Line:
     shed: Value = 0.0
     friction: Value = 0.0  # of the link, within its level
     level: Value = 0.0
-    link_sticks: Value = False
-    link_free: Value = 0.0  # accelerations of the link: without its dry friction, and by its level
-    link_shed: Value = 0.0
     motor: Value = 0.0  # a rigid joint's motor: torque, inertia, dry friction
     inertia: Value = 0.0
     motor_level: Value = 0.0
+    tied: bool = False  # whether its motor is one of a group's shafts
 
     def link_level(self, flow: JointFlow, z: Value, velocity: Value) -> Value:
         """Bound of the dry friction on the link; a rigid joint's motor rubs there too."""
         s = self.signals
         s.dq = directed(s.dq, velocity)
         self.level = flow.link_level(s, z)
-        if flow.joint.rigid:
+        if flow.joint.rigid and not self.tied:
             s.dtheta = s.dq
             self.motor_level = flow.motor_level(s, z)
             self.level = self.level + self.motor_level
@@ -255,7 +331,7 @@ class Line:
         return self.motor - self.inertia * acc - self.friction * self.motor_level / (self.level + TINY)
 
 
-def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
+def _flexible(flow: JointFlow, at: Midway, i: int, k: int, a: float) -> Line:
     """A flexible joint with effects; the formulas of this file's head with all terms."""
     s = at.signals(i, k, a)
     drive, w, phi, v = flow.drive, at.dtheta[k], at.theta[k] - at.q[flow.joint.idx_q], at.v[flow.joint.idx_v]
@@ -286,7 +362,7 @@ def _flexible(flow: JointFlow, at: _Midway, i: int, k: int, a: float) -> Line:
     return Line(s, tau, a * (kap + link_resists), c0, c1, free, shed)
 
 
-def _rigid(flow: JointFlow, at: _Midway, i: int, a: float) -> Line:
+def _rigid(flow: JointFlow, at: Midway, i: int, a: float) -> Line:
     """A rigid joint: the motor's inertia and damping act on the link."""
     s = at.signals(i, -1, a)
     drive, v = flow.drive, at.v[flow.joint.idx_v]
@@ -297,44 +373,6 @@ def _rigid(flow: JointFlow, at: _Midway, i: int, a: float) -> Line:
     line = Line(s, motor + on_link + link_resists * (s.dq - v), inertia + a * link_resists)
     line.motor, line.inertia = motor, inertia
     return line
-
-
-class _Midway:
-    """A state and its predicted midpoint as scalars, and the signals of a joint there."""
-
-    def __init__(self, model: FlexibleJointModel, x: State, q_mid: Value, v_mid: Value, tau_m: Value) -> None:
-        items = ops.items
-        self.model, self.joints, self.t = model, model.joints, x.t
-        self.q, self.v, self.q_mid, self.v_mid = items(x.q), items(x.v), items(q_mid), items(v_mid)
-        self.theta, self.dtheta, self.ddtheta = items(x.theta), items(x.dtheta), items(x.ddtheta)
-        self.z, self.tau_m, self.tau_rigid = items(x.z), items(tau_m), items(x.tau_rigid)
-
-    def signals(self, i: int, k: int, a: float) -> Signals:
-        """Of the actuated joint i, the k-th flexible one (-1: rigid); phi from the present velocities."""
-        joint, beside = self.joints[i], neighbours(self.tau_m, i)
-        q, dq, t = self.q_mid[joint.idx_q], self.v_mid[joint.idx_v], self.t + a
-        if k < 0:
-            tau_t = self.tau_rigid[self.model.rigid.index(i)]
-            return Signals(t, q, dq, q, dq, 0.0, 0.0, tau_t, self.tau_m[i], *beside)
-        theta, dtheta = self.theta[k] + a * self.dtheta[k], self.dtheta[k] + a * self.ddtheta[k]
-        return Signals(t, q, dq, theta, dtheta, theta - q, dtheta - dq, 0.0, self.tau_m[i], *beside)
-
-
-def _rubbed(start: Value, midpoint: Value, free: Value, shed: Value, h: float) -> tuple[Value, Value]:
-    """Velocity and acceleration at the end of a step with dry friction, from the velocities at its start
-    and midpoint and the accelerations without friction and by its level alone.
-
-    A motion that comes to rest within the step stays there, or turns and goes on for what is left of it:
-    the midpoint rule alone would ring about rest for ever.
-    """
-    side = ops.where(start < 0.0, -1.0, 1.0)
-    braking = shed - side * free
-    onward = ops.maximum(-side * free - shed, 0.0)
-    speed = ops.absolute(start)
-    rests = ops.both(speed > 0.0, speed < h * braking)
-    left = h - speed / ops.maximum(braking, TINY)
-    end = ops.where(rests, -side * onward * left, 2.0 * midpoint - start)
-    return end, ops.where(rests, -side * onward, (midpoint - start) / (0.5 * h))
 
 
 def _entries(vector: Value, places: Any) -> Value:

@@ -95,7 +95,12 @@ def _check_contacts(model: FlexibleJointModel, x: State, h: float, scheme: Schem
         return
     mass = model.body.mass_matrix(x.q)
     for i in model.rigid:
-        mass[model.joints[i].idx_v, model.joints[i].idx_v] += model.flows[i].drive.B
+        if i not in model.grouped:
+            mass[model.joints[i].idx_v, model.joints[i].idx_v] += model.flows[i].drive.B
+    for group in model.groups:
+        if group.rigid:
+            at = np.ix_(model.places(group), model.places(group))
+            mass[at] += np.array(group.inertia, dtype=float)
     _, jacobians = model.ground.places(model.body, x.q)
     for item, jacobian in zip(model.ground.contacts, jacobians, strict=True):
         inverse = jacobian @ np.linalg.solve(mass, jacobian.T)

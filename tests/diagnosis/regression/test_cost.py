@@ -14,7 +14,7 @@ from support.thorough import thorough
 
 from flexjoint.core.lru_cache import LruCache
 from flexjoint.core.worker_pool import worker_pool
-from flexjoint.diagnosis.balances import balances, chain
+from flexjoint.diagnosis.balances import balances, chain, laws
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.regression import problem as problems
@@ -61,7 +61,7 @@ def test_any_number_of_processes_gives_the_same_bits(monkeypatch: pytest.MonkeyP
     # and so does a scan that may remember nothing, and a chain that is made anew each time
     monkeypatch.setattr(scan, "MEMORY", 0.0)
     monkeypatch.setattr(chain, "REMEMBERED", 0.0)
-    monkeypatch.setattr(chain, "CORRECTED", 0.0)
+    monkeypatch.setattr(laws, "CORRECTED", 0.0)
     monkeypatch.setattr(balances, "REMEMBERED", 0.0)
     assert scanned(2, current) == alone
 
@@ -101,7 +101,7 @@ def test_a_change_of_the_bodies_torques_is_remembered_as_it_is(monkeypatch: pyte
     rubs = [*late, effect("motor_coulomb_friction", "elbow", level=0.3)]
     torques = [problem.__wrapped__().balances.change(*pair) for pair in ((late, rubs), ([], late))]
     monkeypatch.setattr(balances, "REMEMBERED", 0.0)
-    monkeypatch.setattr(chain, "CORRECTED", 0.0)
+    monkeypatch.setattr(laws, "CORRECTED", 0.0)
     anew = problem().balances
     assert np.array_equal(torques[1], anew.change([], late))
     assert np.array_equal(torques[0], anew.change(late, rubs))

@@ -1,0 +1,285 @@
+"""Laws of effects along one motion: from readings and effects to torques, in time and as filtered spectra.
+
+A law is evaluated on unfiltered positions, then filtered (a filter does not commute with a kink).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy import fft
+
+from flexjoint.core.lru_cache import LruCache
+from flexjoint.diagnosis.balances.dry_friction import DryFriction
+from flexjoint.diagnosis.balances.joint_readings import JointReadings
+from flexjoint.diagnosis.balances.motion import Motion
+from flexjoint.diagnosis.balances.states import state_along
+from flexjoint.diagnosis.balances.ties import Ties
+from flexjoint.diagnosis.signals.signals import later, reach_of_ends
+from flexjoint.effects import Drive, Planned, Signals, Site, signal_order
+from flexjoint.model.joint import neighbours
+
+INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
+CORRECTED = 1e7  # bytes of readings with what sensors do taken back
+SMALL_TORQUE = 1e-3  # of a joint's torque: below every limit, above rounding
+LEAST_GAIN = 0.05  # below which a motor is without torque, and its balance no prediction of it
+DRIVING = ("q", "dq", "theta", "dtheta", "phi", "dphi")  # signals that states may see
+
+
+class Laws:
+    """Readings of all joints, and what laws make of them."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+        self.filter, self.jomega = motion.filter, 1j * motion.filter.omega
+        self.period = motion.readings.period
+        self.t = motion.readings.time - motion.readings.start
+        self.floating = motion.robot.file.offsets == "per_recording"
+        self.ties = Ties(motion.robot)
+        self._bases: dict[int, JointReadings] = {}
+        self._corrected: LruCache[JointReadings] = LruCache()
+        self.friction = DryFriction(motion.filter, motion.readings.sigma, motion.readings.settings.balances)
+
+    @property
+    def has_twin(self) -> bool:
+        """Whether the same motion is known without its sensors' noise."""
+        return False
+
+    # ------------------------------------------------------------------ readings
+    def base(self, i: int) -> JointReadings:
+        if i not in self._bases:
+            self._bases[i] = JointReadings(self.motion, i)
+        return self._bases[i]
+
+    def readings(self, i: int, sensors: Sequence[Planned]) -> JointReadings:
+        """The readings of joint i with what effects of its sensors do taken back."""
+        if not sensors:
+            return self.base(i)
+        key = (i, *(e.identity for e in sensors))
+        make = partial(JointReadings, self.motion, i)
+        return self._corrected.get(key, lambda: make(self._true_readings(i, sensors)), CORRECTED)
+
+    def _true_readings(self, i: int, sensors: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Readings with the sensors' effects taken back, the last one first."""
+        base = self.base(i)
+        readings = {"q": base.q, "theta": base.theta, "tau_t": base.tau_t}
+        rigid = self.motion.robot.joints[i].rigid
+        for e in reversed(sensors):
+            p = e.p
+            for channel in e.effect.channels(p):
+                if channel not in readings or not np.isfinite(readings[channel][0]):
+                    continue
+                measured = true = readings[channel]
+                if e.effect.overrides("map"):
+                    for _ in range(INVERSION_ROUNDS):
+                        true = measured - (e.effect.map(Signals(t=self.t), p, true) - true)
+                if e.effect.overrides("delay"):
+                    true = later(true, -float(e.effect.delay(p)) / self.period)
+                readings[channel] = self.since(e, true, measured)
+        q = readings["theta"] if rigid else readings["q"]
+        return q, readings["theta"], readings["tau_t"]
+
+    def sensors(self, i: int, effects: Sequence[Planned]) -> list[Planned]:
+        """Those of the effects that act on joint i's sensors."""
+        name = self.motion.robot.joints[i].name
+        return [e for e in effects if e.effect.site is Site.SENSOR and e.joint == name]
+
+    def signals(self, i: int, effects: Sequence[Planned]) -> Signals:
+        """What laws may see of joint i, nominal springs assumed."""
+        r, torques = self.readings(i, self.sensors(i, effects)), self.torques()
+        s = Signals(self.t, r.q, r.dq, r.theta, r.dtheta, r.theta - r.q, r.dtheta - r.dq, tau_m=torques[i])
+        from_load = self.motion.robot.joints[i].rigid or self.floats(i)
+        s.tau_t = self.motion.rigid.tau[i] if from_load else r.spring
+        s.tau_m_before, s.tau_m_after = neighbours(torques, i)
+        return s
+
+    def torques(self) -> list[np.ndarray]:
+        """(N,) recorded torques; 0 where a joint's is not recorded: then its effect elsewhere cannot be
+        seen."""
+        return [self.base(k).torque for k in range(len(self.motion.robot.joints))]
+
+    def noise(self, i: int) -> float:
+        """Noise of joint i's positions: an angle without a sensor is made of the other one."""
+        return max(float(self.motion.readings.noise[channel][i]) for channel in ("q", "theta"))
+
+    def floats(self, i: int) -> bool:
+        """Whether the torque of joint i's spring is known up to a constant only: with unknown encoder offsets
+        and no torque sensor (by which they are centred)."""
+        return self.floating and not np.isfinite(self.motion.readings.tau_t[i, 0])
+
+    # ------------------------------------------------------------------ torques
+    def command_scale(self, i: int, effects: Sequence[Planned]) -> float:
+        """One over the gain that effects of the command have for a small torque. A balance is counted in
+        recorded torque: a gain of nearly nothing would make it small, and all errors of the model with it."""
+        if any(e.since is not None for e in effects) or i in self.ties.coupled:
+            return 1.0
+        step = SMALL_TORQUE * float(np.std(self.base(i).torque))
+        up, down = Signals(t=0.0), Signals(t=0.0)
+        high, low = step, -step
+        for e in signal_order(effects):
+            high, low = float(e.effect.map(up, e.p, high)), float(e.effect.map(down, e.p, low))
+        gain = (high - low) / (2.0 * step) if step > 0.0 else 1.0
+        return 1.0 / gain if gain > LEAST_GAIN else 1.0
+
+    def command(self, i: int, effects: Sequence[Planned]) -> np.ndarray:
+        """(N,) what effects of the command make of joint i's torque."""
+        base = self.base(i)
+        torque = base.torque
+        signals = Signals(t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta)
+        signals.tau_m_before, signals.tau_m_after = neighbours(self.torques(), i)
+        return self.commanded(effects, torque, signals)
+
+    def commanded(self, effects: Sequence[Planned], torque: np.ndarray, signals: Signals) -> np.ndarray:
+        """(N,) what effects of the command make of a torque (N,)."""
+        signals = replace(signals)
+        for e in signal_order(effects):
+            p, before, signals.tau_m = e.p, torque, torque
+            if e.effect.overrides("delay"):
+                torque = later(torque, float(e.effect.delay(p)) / self.period)
+            torque = e.effect.map(signals, p, torque)
+            if e.effect.states:
+                torque = torque + e.effect.torque(signals, p, state_along(e, signals, self.period, 0))
+            torque = self.since(e, torque, before)
+        return torque
+
+    def shaft_taken(self, drive: Drive, laws: Sequence[Planned], theta_hat: np.ndarray) -> np.ndarray:
+        """Spectrum of what a motor's inertia and damping, as effects change them, take for its own motion."""
+        s, gated = self.jomega, []
+        for e in laws:
+            if e.since is not None and e.effect.overrides("edit_drive"):
+                gated.append(e)
+            else:
+                drive = e.effect.edit_drive(drive, e.p)
+        taken = (drive.B * s**2 + drive.D_m * s) * theta_hat
+        for e in gated:
+            edited = e.effect.edit_drive(drive, e.p)
+            more = ((edited.B - drive.B) * s**2 + (edited.D_m - drive.D_m) * s) * theta_hat
+            taken = taken + self.filter.spectrum((self.t >= (e.since or 0.0)) * self.time_series(more))
+        return np.asarray(taken)
+
+    def along(self, effects: Sequence[Planned], signals: Signals) -> np.ndarray | float:
+        """Spectrum of the torques (not the dry frictions) that act on the motor or the link."""
+        acting = [e for e in effects if e.effect.overrides("torque")]
+        if not acting:
+            return 0.0
+        total = np.zeros(self.filter.count)
+        for e in acting:
+            torque = e.effect.torque(signals, e.p, self.state(e, signals)) * np.ones_like(total)
+            total = total + self.since(e, torque, np.zeros_like(total))
+        return self.filtered(total)
+
+    # ------------------------------------------------------------------ dry friction
+    def dry_of(self, i: int, effects: Sequence[Planned]) -> list[Planned]:
+        """The dry frictions on joint i's own motor, or on its link where that is one with it."""
+        joint = self.motion.robot.joints[i]
+        sites = (Site.MOTOR, Site.LINK) if joint.rigid else (Site.MOTOR,)
+        own = [e for e in effects if e.joint == joint.name and e.effect.site in sites]
+        return [e for e in dry(own) if not self.ties.on_shaft(e)]
+
+    def sliding(self, effects: Sequence[Planned], signals: Signals) -> np.ndarray:
+        """(N,) dry friction as far as what rubs moves, 0 elsewhere."""
+        speed, rest = np.asarray(signals.dtheta), self.motion.readings.settings.balances.rest_speed
+        backward, forward = self.levels(dry(effects), signals, speed, rest)
+        return np.where(np.abs(speed) <= rest, 0.0, np.where(speed < 0.0, backward, -forward))
+
+    def rubbing(
+        self,
+        effects: Sequence[Planned],
+        signals: Signals,
+        speed: np.ndarray,
+        net: np.ndarray,
+        denoised_net: np.ndarray,
+        inertia: float,
+        noise: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Spectrum of the effects' dry friction, and where it holds (dry_friction.py)."""
+        limits = self.motion.readings.settings.balances
+        levels = self.levels(effects, signals, speed, limits.rest_speed)
+        rest = self.friction.rest_speed(levels, inertia, noise)
+        if rest < limits.rest_speed:
+            levels = self.levels(effects, signals, speed, rest)
+        return self.friction.spectrum(levels, speed, net, denoised_net, inertia, rest)
+
+    def levels(
+        self, effects: Sequence[Planned], signals: Signals, speed: np.ndarray, rest: float
+    ) -> np.ndarray:
+        """(2, N) levels of the effects' dry friction backward and forward: at rest the sign of the measured
+        speed is noise. Below the speed that the data resolve, the levels at that speed are taken."""
+        resolved = np.maximum(np.abs(speed), rest)
+        ways = [replace(signals, dtheta=v, dq=v) for v in (-resolved, resolved)]
+        levels = np.zeros((2, speed.size))
+        for e in effects:
+            state = self.state(e, signals)
+            values = np.array([e.effect.level(going, e.p, state) * np.ones_like(speed) for going in ways])
+            levels = levels + self.since(e, values, np.zeros_like(values))
+        return levels
+
+    def inertias(self, joints: Sequence[int], effects: Sequence[Planned]) -> np.ndarray:
+        """(k, k) mean inertia of some joints' motors; of rigid joints with their links'."""
+        robot = self.motion.robot
+        own = []
+        for i in joints:
+            drive = robot.joints[i].drive
+            for e in effects:
+                if e.joint == robot.joints[i].name:
+                    drive = e.effect.edit_drive(drive, e.p)
+            own.append(float(drive.B))
+        mass = np.diag(own)
+        for coupling in robot.couplings:
+            if set(coupling.joints) <= set(joints):
+                at = np.ix_(*2 * [[joints.index(i) for i in coupling.joints]])
+                turns = np.array(coupling.matrix)
+                mass[at] = turns.T @ mass[at] @ turns
+        if all(robot.joints[i].rigid for i in joints):
+            mass = mass + np.mean(self.motion.rigid.mass[:, joints][:, :, joints], axis=0)
+        return mass
+
+    def link_inertia(self, i: int) -> float:
+        return float(np.mean(self.motion.rigid.mass[:, i, i]))
+
+    # ------------------------------------------------------------------ helpers
+    def state(self, e: Planned, signals: Signals) -> np.ndarray | float:
+        """Internal state of an effect along the recording, driven by its joint's signals without noise."""
+        if not e.effect.states:
+            return 0.0
+        smooth = self._without_noise(e, signals)
+        smooth.phi = self.filter.smooth(smooth.phi)
+        return state_along(e, smooth, self.period, reach_of_ends(self.motion.readings))
+
+    def _without_noise(self, e: Planned, signals: Signals) -> Signals:
+        """A copy of the signals of an effect's joint without their sensors' noise: a state's law takes the
+        magnitude of a speed, and a mean of noise does not vanish there."""
+        if not self.has_twin or e.joint is None:
+            return replace(signals)
+        noise = self.base(self.motion.robot.joint_names.index(e.joint)).noise
+        less = {name: getattr(signals, name) - getattr(noise, name) for name in DRIVING}
+        return replace(signals, **less)
+
+    def since(self, e: Planned, with_effect: np.ndarray, without: np.ndarray) -> np.ndarray:
+        return with_effect if e.since is None else np.where(self.t >= e.since, with_effect, without)
+
+    def filtered(self, x: np.ndarray) -> np.ndarray:
+        return self.filter.spectrum(x) * self.filter.gain
+
+    def time_series(self, spectrum: np.ndarray) -> np.ndarray:
+        return fft.irfft(spectrum, self.filter.size)[: self.filter.count]
+
+    def two_series(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """(2, N) the same of two spectra at once, which takes little longer than of one."""
+        return fft.irfft(np.array([one, other]), self.filter.size)[:, : self.filter.count]
+
+
+def by_site(effects: Sequence[Planned]) -> dict[Site, list[Planned]]:
+    """The effects by their site."""
+    sites: dict[Site, list[Planned]] = {site: [] for site in Site}
+    for e in effects:
+        sites[e.effect.site].append(e)
+    return sites
+
+
+def dry(effects: Sequence[Planned]) -> list[Planned]:
+    """Those that are a dry friction."""
+    return [e for e in effects if e.effect.overrides("level")]
