@@ -11,12 +11,14 @@ from rich.console import Console
 from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import Asked, page
 from flexjoint.core.messages import escaped
+from flexjoint.core.progress import silent
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import cause, listed, percent
 from flexjoint.recording.checks import check
 from flexjoint.recording.importing import read
-from flexjoint.report.terminal import Progress, no_progress, summary
+from flexjoint.report.progress import Progress
+from flexjoint.report.terminal import summary
 from flexjoint.robot.payload import parse
 
 
@@ -32,7 +34,7 @@ def run(arguments: argparse.Namespace) -> None:
         check(nominal, table)
     payloads = parse(arguments.payload, [str(path) for path in arguments.recordings])
     with Progress() as bar:
-        shown = no_progress if arguments.quiet else bar
+        shown = silent if arguments.quiet else bar
         diagnosis = pipeline.diagnose(
             nominal,
             recordings,
