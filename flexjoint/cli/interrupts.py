@@ -8,7 +8,6 @@ the main thread has not done so within a moment.
 from __future__ import annotations
 
 import atexit
-import multiprocessing
 import os
 import signal
 import socket
@@ -67,6 +66,8 @@ def _listen(hears: socket.socket, over: threading.Event) -> None:
 
 def _leave() -> None:
     """End here and now: no worker, no half-written file, one line."""
+    import multiprocessing  # takes a while, and most commands fork nothing
+
     workers = multiprocessing.active_children()
     for worker in workers:
         worker.kill()

@@ -18,6 +18,13 @@ LEAST = 1.0  # s: less is over before a recording is read
 _WRITTEN = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)")
 
 
+class OutOfTimeError(FlexJointError):
+    """The time that was allowed is over."""
+
+    def __init__(self) -> None:
+        super().__init__("the time allowed was over")
+
+
 @dataclass(frozen=True)
 class Budget:
     """Seconds of wall clock from the making of this value on; without a number there is no limit."""
@@ -44,6 +51,19 @@ class Budget:
     def spent(self) -> bool:
         """Whether the time is over: what is asked at a boundary between two steps."""
         return self.limited and self.left <= 0.0
+
+    def check(self) -> None:
+        """Raise OutOfTimeError if it is spent."""
+        if self.spent:
+            raise OutOfTimeError
+
+    def part(self, share: float) -> Budget:
+        """The first part of this time, counted from the same beginning; without a limit itself."""
+        if not self.limited:
+            return self
+        out = Budget(share * self.seconds, self.clock)
+        object.__setattr__(out, "_begun", self._begun)
+        return out
 
 
 UNLIMITED = Budget()

@@ -7,7 +7,7 @@ are summed up anew in every piece, which rounds differently.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -90,13 +90,34 @@ def simulated_in_pieces(
             return torque_over(reference, names, edges[begin : end + 1], held)
 
         take = _by_torque(model, start, torque, options, steps, min(size, steps))
+    around = _Around(reference)
     for begin in range(0, steps, size):
         end = min(begin + size, steps)
         tape = take(begin, end)
-        yield Piece(measured_rows(model, reference, tape, start, by_law), end / steps)
+        near = around.times(reference.time[0] + begin / rate, reference.time[0] + end / rate)
+        yield Piece(measured_rows(model, near, tape, start, by_law, reference.time[0]), end / steps)
         progress(end / steps, f"simulating, {end / rate:.4g} of {steps / rate:.4g} s")
         if budget.spent:
             return
+
+
+class _Around:
+    """A reference from one time to another, with the samples beside: work on a piece does not grow with the
+    whole. One that lacks samples is left whole, for the next ones may be far away."""
+
+    def __init__(self, reference: Recording) -> None:
+        self._reference = reference
+        self._whole = not all(np.all(np.isfinite(values)) for values in reference.columns.values())
+
+    def times(self, begin: float, end: float) -> Recording:
+        """The part that holds these times [s]."""
+        if self._whole:
+            return self._reference
+        time = self._reference.time
+        first, last = np.searchsorted(time, begin) - 2, np.searchsorted(time, end) + 3
+        rows = slice(max(0, first), last)
+        columns = {key: values[rows] for key, values in self._reference.columns.items()}
+        return replace(self._reference, time=time[rows], columns=columns)
 
 
 def _by_law(
@@ -111,10 +132,13 @@ def _by_law(
 ) -> Take:
     """Steps under a control law that follows a reference."""
 
+    around = _Around(reference)
+
     def tables(begin: int, end: int) -> tuple[int, Tables]:
         """The number of the first tick in some steps, and the references from there on."""
         first = clock.last(begin)
-        return first, references_at(model, reference, ticks[first : clock.last(end - 1) + 1])
+        own = ticks[first : clock.last(end - 1) + 1]
+        return first, references_at(model, around.times(own[0], own[-1]), own)
 
     steps = clock.steps(len(ticks))
     compiled, model = _engine(model, start, steps, options, law)

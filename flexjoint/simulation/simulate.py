@@ -259,14 +259,22 @@ def _result(
 
 
 def measured_rows(
-    model: FlexibleJointModel, reference: Recording, tape: Trajectory, start: State, controller: bool
+    model: FlexibleJointModel,
+    reference: Recording,
+    tape: Trajectory,
+    start: State,
+    controller: bool,
+    begin: float,
 ) -> Recording:
-    """The readings of a piece of a run that began at `start`, as `Simulation.measured` has them."""
+    """The readings of a piece of a run from `start`, as `Simulation.measured` has them. The reference holds
+    the times of the piece, and begins at `begin` [s] as a whole."""
     rows = slice(tape.first, len(tape.time) - 1)
-    time = reference.time[0] + tape.time[rows] - start.t
+    time = begin + tape.time[rows] - start.t
     given = _given(model, reference, tape, rows, time, controller)
-    seen = {key: values[:-1] for key, values in readings(model, tape).items()}
-    seen = _noisy(model, seen, {}, 0)
+    seen = {
+        (channel, name): _rounded(model, channel, name, values[:-1])
+        for (channel, name), values in readings(model, tape).items()
+    }
     return Recording(time, {**seen, **given}, f"{model.robot.name} along {reference.name}")
 
 
@@ -297,6 +305,11 @@ def _noisy(
     out = {}
     for (channel, name), exact in readings.items():
         values = exact + noise.get(channel, 0.0) * random.standard_normal(len(exact))
-        resolution = (model.robot.joint(name).resolution or {}).get(channel, 0.0)
-        out[channel, name] = resolution * np.round(values / resolution) if resolution > 0 else values
+        out[channel, name] = _rounded(model, channel, name, values)
     return out
+
+
+def _rounded(model: FlexibleJointModel, channel: str, joint: str, values: np.ndarray) -> np.ndarray:
+    """Readings in steps of their sensor."""
+    resolution = (model.robot.joint(joint).resolution or {}).get(channel, 0.0)
+    return resolution * np.round(values / resolution) if resolution > 0 else values

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from flexjoint.core.budget import UNLIMITED, Budget, budget_of
+from flexjoint.core.budget import UNLIMITED, Budget, OutOfTimeError, budget_of
 from flexjoint.core.errors import FlexJointError
 
 
@@ -18,6 +18,20 @@ def test_it_is_spent_when_its_seconds_are_over() -> None:
     assert budget.left == pytest.approx(0.1) and not budget.spent
     now[0] = 15.0
     assert budget.left == 0.0 and budget.spent
+
+
+def test_a_part_counts_from_the_same_beginning() -> None:
+    now = [5.0]
+    budget = Budget(10.0, lambda: now[0])
+    now[0] = 9.0
+    part = budget.part(0.5)
+    assert part.left == pytest.approx(1.0)
+    part.check()
+    now[0] = 10.0
+    with pytest.raises(OutOfTimeError, match="the time allowed was over"):
+        part.check()
+    budget.check()
+    assert UNLIMITED.part(0.1) is UNLIMITED
 
 
 def test_without_a_limit_no_clock_is_asked() -> None:
