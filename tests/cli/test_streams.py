@@ -161,10 +161,16 @@ def waited_for_workers(pid: int) -> list[int]:
 
 
 def test_a_diagnosis_is_the_same_bit_by_bit(tmp_path: Path, lever: Path) -> None:
-    """For any number of workers, hash seed, locale and time zone."""
+    """For any number of workers and threads, hash seed, locale and time zone, and budget that is enough."""
     settings = [
-        {"FLEXJOINT_WORKERS": "1", "PYTHONHASHSEED": "0", "LC_ALL": "C", "TZ": "UTC"},
-        {"FLEXJOINT_WORKERS": "2", "PYTHONHASHSEED": "4242", "LC_ALL": "de_DE.UTF-8", "TZ": "Asia/Kolkata"},
+        {"FLEXJOINT_WORKERS": "1", "PYTHONHASHSEED": "0", "LC_ALL": "C", "TZ": "UTC", "OMP_NUM_THREADS": "1"},
+        {
+            "FLEXJOINT_WORKERS": "2",
+            "PYTHONHASHSEED": "4242",
+            "LC_ALL": "de_DE.UTF-8",
+            "TZ": "Asia/Kolkata",
+            "OMP_NUM_THREADS": "2",
+        },
     ]
     words = ["diagnose", lever, "--robot", LEVER, "--json", "d.json", "--model", "m.yaml", "--quiet"]
     found = []
@@ -172,7 +178,7 @@ def test_a_diagnosis_is_the_same_bit_by_bit(tmp_path: Path, lever: Path) -> None
         folder = tmp_path / f"run{k}"
         folder.mkdir()
         done = subprocess.run(
-            [*FLEXJOINT, *map(str, words)],
+            [*FLEXJOINT, *map(str, words), *(["--budget", "1h"] if k else [])],
             cwd=folder,
             env={**ENVIRONMENT, **setting},
             capture_output=True,
