@@ -60,17 +60,18 @@ class Progress:
         now = self._clock()
         if self._begun is None and self._done > 0.0:
             self._begun = (now, self._done)
+        drawn = self._console.is_terminal and not self._console.is_dumb_terminal
+        if not drawn and self._ticker is None and not self._over.is_set():
+            self._ticker = threading.Thread(target=self._tick, daemon=True, name="progress")
+            self._ticker.start()
         if now - self._start < PATIENCE:
             return
         if not self._announced and self._expected is None:
             left = self._by_share()
             if left is not None and now - self._start + left > LONG:
                 self._announce(now - self._start + left)
-        if self._console.is_terminal and not self._console.is_dumb_terminal:
+        if drawn:
             self._draw()
-        elif self._ticker is None and not self._over.is_set():
-            self._ticker = threading.Thread(target=self._tick, daemon=True, name="progress")
-            self._ticker.start()
 
     def left(self) -> float | None:
         """Seconds that are left, as far as that is known."""
@@ -79,7 +80,7 @@ class Progress:
             return by_share
         told = max(0.0, told - (self._clock() - self._start))
         if by_share is None:
-            return told
+            return told or None  # it takes longer than was told: nobody knows how long
         # the first steps tell little of the others: what was told beforehand counts until half is done
         weight = min(1.0, 2.0 * self._done)
         return weight * by_share + (1.0 - weight) * told
