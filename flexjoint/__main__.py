@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-
-from flexjoint.cli.main import main
+from flexjoint.cli.main import command
 
 if __name__ == "__main__":
-    sys.exit(main())
+    command()

@@ -18,7 +18,8 @@ from flexjoint.diagnosis.result import Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import clean, number
 from flexjoint.recording import table as recording
 from flexjoint.recording.table import Recording
-from flexjoint.report.terminal import Progress, summary
+from flexjoint.report.progress import Progress
+from flexjoint.report.terminal import summary
 from flexjoint.robot import robot
 from flexjoint.robot.robot import Robot
 

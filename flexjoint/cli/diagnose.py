@@ -3,47 +3,58 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
-from flexjoint.cli.options import load_chosen, mapping_of
+from flexjoint.cli.options import budget_from, load_chosen, mapping_of
 from flexjoint.cli.outputs import Asked, page
 from flexjoint.core.messages import escaped
+from flexjoint.core.progress import silent
+from flexjoint.core.worker_pool import workers_of
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import cause, listed, percent
+from flexjoint.diagnosis.signals.excerpt import excerpts, expected_seconds, most_samples
 from flexjoint.recording.checks import check
 from flexjoint.recording.importing import read
-from flexjoint.report.terminal import Progress, no_progress, summary
+from flexjoint.recording.table import Recording
+from flexjoint.report.progress import Progress
+from flexjoint.report.terminal import summary
 from flexjoint.robot.payload import parse
+from flexjoint.robot.robot import Robot
 
 
 def run(arguments: argparse.Namespace) -> None:
     """The command. Raises FlexJointError on unusable input, before the long work."""
+    budget = budget_from(arguments)
     asked = Asked(arguments.json, arguments.report, arguments.model)
     mapped = [arguments.mapping] if arguments.mapping is not None else []
     asked.check([Path(arguments.robot), *arguments.recordings, *mapped])
     nominal = load_chosen(arguments)
     mapping = mapping_of(arguments)
     recordings = [read(path, mapping, nominal).recording for path in arguments.recordings]
-    for table in recordings:
-        check(nominal, table)
+    for k in range(len(recordings)):  # none is kept by a name: see HandedOver
+        check(nominal, recordings[k])
     payloads = parse(arguments.payload, [str(path) for path in arguments.recordings])
+    shown_on_page = examined(nominal, recordings, budget.seconds) if asked.report is not None else None
     with Progress() as bar:
-        shown = no_progress if arguments.quiet else bar
+        if not arguments.quiet:
+            bar.expect(min(budget.left, expected_seconds(nominal, recordings, workers_of(None))))
         diagnosis = pipeline.diagnose(
             nominal,
-            recordings,
-            progress=shown,
+            HandedOver(recordings),
+            progress=silent if arguments.quiet else bar,
             payloads=payloads,
             refine=not arguments.no_refine,
             check_data=not arguments.ignore_data_checks,
+            budget=budget,
         )
     html = None
-    if asked.report is not None:  # its numbers are those of all causes that it names
-        html = page(diagnosis, nominal, diagnosis.extend(nominal, least=0.0), recordings[0])
+    if shown_on_page is not None:  # its numbers are those of all causes that it names
+        html = page(diagnosis, nominal, diagnosis.extend(nominal, least=0.0), shown_on_page)
     least = 0.0 if arguments.all_causes else LEAST
     asked.write(to_json(diagnosis, asked.model_name()), html, diagnosis.extend(nominal, least))
     if not arguments.quiet:
@@ -51,6 +62,32 @@ def run(arguments: argparse.Namespace) -> None:
         summary(diagnosis, console)
         for line in written(diagnosis, asked, least):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+class HandedOver(Sequence[Recording]):
+    """Recordings that are given away as they are asked for: a large one then leaves memory when the part of
+    it that is examined was taken."""
+
+    def __init__(self, recordings: list[Recording]) -> None:
+        self._recordings = recordings
+
+    def __len__(self) -> int:
+        return len(self._recordings)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._recordings[place]
+
+    def __iter__(self) -> Iterator[Recording]:
+        while self._recordings:
+            yield self._recordings.pop(0)
+
+
+def examined(nominal: Robot, recordings: Sequence[Recording], seconds: float) -> Recording:
+    """The first recording, of a large one the part that the diagnosis looks at."""
+    first = recordings[0]
+    if first.time.size * len(nominal.joints) <= most_samples(nominal, seconds):
+        return first
+    return excerpts(nominal, recordings, seconds)[0][0]
 
 
 def written(diagnosis: Diagnosis, asked: Asked, least: float) -> Iterator[str]:

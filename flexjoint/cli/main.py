@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from flexjoint.cli import options, streams, view
+from flexjoint.cli.interrupts import INTERRUPTED, end_now, ended_at_once
 from flexjoint.cli.paper import command as paper
 from flexjoint.core.errors import FlexJointError
 
 UNUSABLE = 2
-INTERRUPTED = 130
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # what an output that takes no more says
 
 
@@ -43,8 +43,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         except MemoryError:
             return _say("memory is short; give less at once, or cut the recording", UNUSABLE)
         except KeyboardInterrupt:
-            return _say("interrupted", INTERRUPTED)
+            streams.say_interrupted()
+            return INTERRUPTED
     return 0
+
+
+def command() -> NoReturn:
+    """The program: `main`, and its end, on which Ctrl-C waits for nothing."""
+    with ended_at_once():
+        code = main()
+        if code == INTERRUPTED:  # what is in memory need not be put away
+            end_now(code)
+    raise SystemExit(code)
 
 
 def _say(message: object, code: int) -> int:
@@ -80,6 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--horizon", type=float, default=0.5, help="window length [s], default 0.5")
     compare.add_argument("--closed-loop", action="store_true", help="drive by references, not by torques")
     options.add_engine(compare)
+    options.add_budget(compare)
     compare.add_argument("--json", type=Path, metavar="OUT.json", help="write the errors as JSON")
     compare.set_defaults(run=_lazily("compare"))
 
@@ -96,6 +107,7 @@ def _parser() -> argparse.ArgumentParser:
         "--width", type=float, metavar="W", help="[rad/s] over which schemes that need it smooth dry friction"
     )
     options.add_engine(simulate)
+    options.add_budget(simulate)
     simulate.set_defaults(run=_lazily("simulate"))
 
     _add_theta_d(commands)
@@ -148,6 +160,7 @@ def _add_diagnose(commands: Any) -> None:
         action="store_true",
         help="go on with data whose signs, zeros, units or names cannot be right",
     )
+    options.add_budget(diagnose)
     diagnose.set_defaults(run=_lazily("diagnose"))
 
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flexjoint.core.budget import UNLIMITED, Budget, budget_of
 from flexjoint.core.errors import RobotError
 
 if TYPE_CHECKING:
@@ -44,6 +45,20 @@ def add_engine(parser: argparse.ArgumentParser) -> None:
         default=ENGINES[0],
         help="what simulates: as C, or by the pin loop in Python (docs/performance.md); default auto",
     )
+
+
+def add_budget(parser: argparse.ArgumentParser) -> None:
+    """The option that bounds how long the work takes."""
+    parser.add_argument(
+        "--budget",
+        metavar="TIME",
+        help="time that it may take, such as 60s or 5min; it then says what it did not look at",
+    )
+
+
+def budget_from(arguments: argparse.Namespace) -> Budget:
+    """The time that the command may take, from now on. Raises FlexJointError."""
+    return UNLIMITED if arguments.budget is None else budget_of(arguments.budget)
 
 
 def add_mapping(parser: argparse.ArgumentParser) -> None:

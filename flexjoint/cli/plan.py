@@ -12,12 +12,13 @@ from rich.console import Console
 from flexjoint.cli import options
 from flexjoint.cli import outputs as cli_outputs
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.progress import silent
 from flexjoint.core.units import of_joint
 from flexjoint.diagnosis import experiment as planning
 from flexjoint.diagnosis.experiment import DECISIVE, Outlook, Plan
 from flexjoint.diagnosis.experiment.limits import REACH, SECONDS
 from flexjoint.recording import table as recording
-from flexjoint.report.terminal import Progress, no_progress
+from flexjoint.report.progress import Progress
 from flexjoint.robot.robot import Robot
 
 BEYOND = 6.0  # decimal digits of odds, beyond which a number says nothing more
@@ -40,7 +41,7 @@ def run(arguments: argparse.Namespace) -> None:
     else:
         question = planning.read(arguments.diagnosis, loaded)
     with Progress() as bar:
-        progress = no_progress if arguments.quiet else bar
+        progress = silent if arguments.quiet else bar
         plan = planning.plan(loaded, question, limits, arguments.seed, progress)
     recording.write(plan.reference, arguments.out)
     if not arguments.quiet:

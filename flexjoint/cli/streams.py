@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import threading
 import warnings
 from collections.abc import Iterator
 
 from flexjoint.core.messages import one_line
+
+_ended = threading.Lock()  # held when the interrupt of this run was told
 
 
 def say(message: object) -> None:
@@ -17,10 +20,18 @@ def say(message: object) -> None:
         print(f"flexjoint: {one_line(message)}", file=sys.stderr, flush=True)
 
 
+def say_interrupted() -> None:
+    """That Ctrl-C ended the command: once, whoever comes first."""
+    if _ended.acquire(blocking=False):
+        say("interrupted")
+
+
 @contextlib.contextmanager
 def plain() -> Iterator[None]:
     """Streams that take every character, and are there even where they were closed; warnings as one line on
     standard error, without the place in the code."""
+    with contextlib.suppress(RuntimeError):  # it was not held
+        _ended.release()
     with contextlib.ExitStack() as stack:
         for name in ("stdout", "stderr"):
             stream = getattr(sys, name)

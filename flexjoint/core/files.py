@@ -7,13 +7,21 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from flexjoint.core.errors import FlexJointError
 
 PREFIX = 40  # characters of a name that its temporary file takes over: names have an end
+_unfinished: set[str] = set()  # temporary files that are being written
+
+
+def remove_unfinished() -> None:
+    """Remove what is half written, before the process ends without unwinding."""
+    for temporary in list(_unfinished):
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
 
 
 def read_text(path: Path, most: int) -> str:
@@ -60,14 +68,24 @@ def check_suffix(path: Path, suffixes: Sequence[str]) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file whole or not at all; raises FlexJointError when the place cannot be written."""
+    with whole_file(path) as file:
+        file.write(content)
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """A file to write piece by piece, which appears under its name when all is written, or not at all.
+
+    Raises FlexJointError when the place cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:PREFIX]}.")
     except OSError as error:
         raise FlexJointError(f"cannot write {path}: {error.strerror or error}") from None
+    _unfinished.add(temporary)
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(content)
+            yield file
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except OSError as error:
@@ -75,3 +93,4 @@ def write_bytes(path: Path, content: bytes) -> None:
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
+        _unfinished.discard(temporary)

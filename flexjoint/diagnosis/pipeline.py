@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.errors import RecordingError, unknown
 from flexjoint.core.worker_pool import one_thread, workers_of
 from flexjoint.diagnosis.balances.balances import Balances, TwinBalances, balances_of
@@ -54,6 +55,7 @@ def diagnose(
     check_data: bool = True,
     workers: int | None = None,
     settings: Settings = USUAL,
+    budget: Budget = UNLIMITED,
 ) -> Diagnosis:
     """Name what the nominal model gets wrong on the recordings; measure the gain on held-out blocks of the
     first, whose residuals and onsets are the ones reported.
@@ -71,18 +73,20 @@ def diagnose(
         workers: processes that share the search, FLEXJOINT_WORKERS or one per core by default; the bits are
             the same for any number.
         settings: the numbers that decide (docs/settings.md).
+        budget: the time that it may take. What is looked at of a recording is then no more than a search
+            takes in that time, and what is not yet done when it is over is left out; notes say so.
 
     Raises:
         ModelError: fewer than one worker.
         RecordingError: the recording cannot be used with this robot, or not one payload for each.
         UnknownNameError: an excluded name is no effect, or a payload's joint is none of the robot's.
     """
-    task = _Task(excluded, workers_of(workers), settings, progress or (lambda _share, _what: None))
+    task = _Task(excluded, workers_of(workers), settings, progress or (lambda _share, _what: None), budget)
     robots, recordings = _checked(robot, recordings, excluded, payloads)
     data = _data_errors(robots, recordings, settings)
     if data and check_data:
         return _with_wrong_data(robots[0], data)
-    recordings, cut = excerpts(robots[0], recordings)
+    recordings, cut = excerpts(robots[0], recordings, budget.seconds)
     task.report(0.0, "preparing the balances")
     refusal, balances = _balanced(robots[0], recordings[0], settings)
     if refusal:
@@ -111,6 +115,7 @@ class _Task:
     workers: int
     settings: Settings
     report: Progress
+    budget: Budget
 
     def part(self, k: int, count: int) -> _Task:
         """The task for one of `count` recordings, with its share of the progress."""
@@ -196,6 +201,8 @@ def _searched_robustly(
     an error of the only recording, and notes."""
     if count > 1 or case.measured is None or not _undecided(case.selection):
         return case, ()
+    if task.budget.spent:
+        return case, ("the time allowed was over before the robust search, which the rest asks for",)
     report = _part(task.report, SEARCHED, 0.02)
     again = search_robustly(case.robot, case.recording, case.problem, case.selection, candidates, report)
     if again is None:
@@ -232,6 +239,7 @@ def _stated(
         workers=task.workers,
         spread=spread,
         report=task.report,
+        budget=task.budget,
     )
 
 

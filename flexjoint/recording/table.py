@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import io
+import contextlib
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +17,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from flexjoint.core.errors import RecordingError, unknown
-from flexjoint.core.files import write_bytes
+from flexjoint.core.files import whole_file
 from flexjoint.core.limits import RECORDING
 from flexjoint.core.messages import shown
 from flexjoint.recording.messages import refusal
@@ -208,16 +209,17 @@ def read(source: str | os.PathLike[str]) -> Recording:
         raise refusal(f"recording {path}", "is empty; expected a table with a time column", " ")
     try:
         if path.suffix == ".parquet":
-            table = read_parquet(path)
-        elif path.suffix == ".csv":
-            table = read_csv(path)
-        else:
+            with pa.parquet.ParquetFile(path) as file:
+                check_size(file.metadata.num_rows, file.metadata.num_columns, path)
+                names = list(file.schema_arrow.names)
+                return _from_columns(names, lambda name: file.read([name]).column(name), path)
+        if path.suffix != ".csv":
             raise refusal(path, f"expected a .csv or .parquet file, got {shown(path.suffix) or 'no suffix'}")
-        names = table.column_names  # decoded here, so that a bad one is caught
+        table = read_csv(path)
+        return _from_columns(table.column_names, table.column, path)
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise refusal(path, f"cannot be read as {path.suffix[1:]}: {reason}", " ") from None
-    return _from_table(table, names, path)
 
 
 def read_parquet(path: Path) -> pa.Table:
@@ -240,7 +242,9 @@ def read_csv(path: Path) -> pa.Table:
     return pa.csv.read_csv(path, convert_options=convert)
 
 
-def _from_table(table: pa.Table, names: list[str], path: Path) -> Recording:
+def _from_columns(names: Sequence[str], column: Callable[[str], pa.ChunkedArray], path: Path) -> Recording:
+    """The recording of columns, which are asked for by name, one after the other: of a large file no more is
+    in memory than that of one."""
     if not names or names[0] != "time":
         first = repr(shown(names[0])) if names else "no column"
         raise refusal(path, f"the first column must be `time` [s], got {first}")
@@ -252,8 +256,8 @@ def _from_table(table: pa.Table, names: list[str], path: Path) -> Recording:
         channel, dot, joint = name.partition(".")
         if not dot or not joint:
             raise refusal(path, f"column '{shown(name)}' is not <channel>.<joint>, e.g. q.elbow")
-        columns[channel, joint] = _numbers(table.column(name), name, path)
-    return make(_stamps(table.column("time"), path), columns, str(path))
+        columns[channel, joint] = _numbers(column(name), name, path)
+    return make(_stamps(column("time"), path), columns, str(path))
 
 
 def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
@@ -262,8 +266,10 @@ def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
         return np.full(len(column), np.nan)
     if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
         raise refusal(path, f"column {shown(name)} holds {shown(column.type)}, expected numbers")
-    numbers = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-    return np.array(numbers, dtype=float)
+    numbers = np.array(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
+    del column
+    pa.default_memory_pool().release_unused()
+    return numbers
 
 
 def _stamps(column: pa.ChunkedArray, path: Path) -> np.ndarray:
@@ -285,15 +291,29 @@ def _stamps(column: pa.ChunkedArray, path: Path) -> np.ndarray:
 
 def write(recording: Recording, path: str | os.PathLike[str]) -> None:
     """Write as CSV or Parquet by the suffix; the file appears whole or not at all."""
+    write_pieces([recording], path)
+
+
+def write_pieces(pieces: Iterable[Recording], path: str | os.PathLike[str]) -> None:
+    """Write recordings with the same columns, one after the other, as one; the file appears whole or not at
+    all. They are asked for one by one."""
     out = Path(path)
-    data = {"time": recording.time}
-    data.update({f"{channel}.{joint}": values for (channel, joint), values in recording.columns.items()})
-    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in data.items()})
-    sink = io.BytesIO()
-    if out.suffix == ".parquet":
-        pa.parquet.write_table(table, sink, compression="zstd")
-    elif out.suffix == ".csv":
-        pa.csv.write_csv(table, sink)
-    else:
+    if out.suffix not in WRITERS:
         raise refusal(out, f"expected a .csv or .parquet name, got {shown(out.suffix) or 'no suffix'}")
-    write_bytes(out, sink.getvalue())
+    with whole_file(out) as file, contextlib.ExitStack() as stack:
+        writer = None
+        for piece in pieces:
+            data = {"time": piece.time}
+            data.update({f"{channel}.{joint}": values for (channel, joint), values in piece.columns.items()})
+            table = pa.table({name: pa.array(values, from_pandas=True) for name, values in data.items()})
+            if writer is None:
+                writer = stack.enter_context(WRITERS[out.suffix](file, table.schema))
+            writer.write_table(table)
+
+
+WRITERS: Mapping[str, Callable[[IO[bytes], pa.Schema], Any]] = MappingProxyType(
+    {
+        ".csv": pa.csv.CSVWriter,
+        ".parquet": lambda file, schema: pa.parquet.ParquetWriter(file, schema, compression="zstd"),
+    }
+)

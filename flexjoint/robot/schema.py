@@ -158,6 +158,7 @@ def parse(raw: Any, where: str, described: bool = True) -> RobotFile:
         file = RobotFile.model_validate(raw)
     except ValidationError as error:
         raise _readable(error, raw, where) from None
+    check_values(file.model_dump(), where)  # numbers that stood as texts, such as 1e20 without a point
     given = [kind for kind in ("urdf", "mjcf", "sdf") if getattr(file, kind) is not None]
     if described and len(given) != 1:
         came = " and ".join(given) or "none of them"

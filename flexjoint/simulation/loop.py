@@ -118,6 +118,7 @@ class Runner:
         self.steps = steps
         self.tape = _tape(model, start, steps, self.h, past)
         self.row, self.done = self.tape.first, 0
+        self.last_command = self.tape.tau_m[self.row - 1].copy()  # (n,) motor torque, kept beyond its row
         self.x = start
         self._no_past = past is None
         self.take(model)
@@ -138,11 +139,6 @@ class Runner:
         self._step = make_step(self.model, self.h, self.options.scheme, self.options.width)
         self._late = _late_commands(self.model, self.rate)
 
-    @property
-    def last_command(self) -> np.ndarray:
-        """(n,) the motor torque commanded last."""
-        return self.tape.tau_m[self.row - 1]
-
     def readings(self, law: Law) -> dict[str, np.ndarray]:
         """What a law reads now, by channel."""
         tape, sensing, rate = self.tape, self._sensing, self.rate
@@ -157,7 +153,7 @@ class Runner:
             self._drop()
         row = self.row
         tau = command(self)
-        tape.tau_m[row] = tau
+        tape.tau_m[row] = self.last_command = tau
         if self.done == 0 and self._no_past:
             tape.tau_m[:row] = tau
         if self._late:

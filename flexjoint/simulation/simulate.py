@@ -27,6 +27,9 @@ TORQUES = ("tau_m", "tau_motor")
 ON_TICK = 0.05  # share of a tick by which samples may miss the tick grid
 
 
+Drive = Literal["auto", "controller", "torque"]
+
+
 @dataclass(frozen=True)
 class Simulation:
     """A simulated run: sensor readings (`measured`) and true signals (`true`), both recordings of
@@ -42,7 +45,7 @@ def simulate(
     reference: Recording,
     options: RunOptions = DEFAULTS,
     *,
-    drive: Literal["auto", "controller", "torque"] = "auto",
+    drive: Drive = "auto",
     start: State | None = None,
     sample_rate: float | None = None,
     noise: Mapping[str, float] | None = None,
@@ -68,17 +71,11 @@ def simulate(
     rate = options.rate_for(model.robot)
     stride = _stride(rate, sample_rate)
     names = model.robot.joint_names
-    size = reference.duration * rate * len(names)
-    if size > SIMULATION.joint_steps:
-        raise SimulationError(
-            f"{reference.name}: {reference.duration:.4g} s of {len(names)} joints at {rate:g} Hz are"
-            f" {size:.2g} steps, at most {SIMULATION.joint_steps:g} are run; cut it at its pauses, or lower"
-            " rates.physics"
-        )
-    controller = drive == "controller" or (drive == "auto" and _has_references(reference, names))
-    start = start or _rest(model, reference, controller)
+    check_size(model, reference, rate)
+    controller = controlled(reference, names, drive)
+    start = start or rest_of(model, reference, controller)
     if controller:
-        ticks = _ticks(reference, model.robot.rates.control)
+        ticks = ticks_of(reference, model.robot.rates.control)
         table = references_at(model, reference, ticks)
         tape = closed_loop(model, start, law_of(model.robot), table, options)
     else:
@@ -87,6 +84,18 @@ def simulate(
         torque = torque_over(reference, names, edges, command_rate(model.robot, reference))
         tape = rollout(model, start, torque, options)
     return _result(model, reference, tape, controller, stride, noise or {}, seed)
+
+
+def check_size(model: FlexibleJointModel, reference: Recording, rate: float) -> None:
+    """Raise SimulationError for a run that is longer than any that is made."""
+    names = model.robot.joint_names
+    size = reference.duration * rate * len(names)
+    if size > SIMULATION.joint_steps:
+        raise SimulationError(
+            f"{reference.name}: {reference.duration:.4g} s of {len(names)} joints at {rate:g} Hz are"
+            f" {size:.2g} steps, at most {SIMULATION.joint_steps:g} are run; cut it at its pauses, or lower"
+            " rates.physics"
+        )
 
 
 # --- drives -----------------------------------------------------------------------------------------------
@@ -190,17 +199,23 @@ def _sampled(recording: Recording, channel: str, joint: str, at: np.ndarray) -> 
     return np.interp(at, recording.time[known], values[known])
 
 
+def controlled(reference: Recording, joints: tuple[str, ...], drive: Drive) -> bool:
+    """Whether the controller drives."""
+    return drive == "controller" or (drive == "auto" and _has_references(reference, joints))
+
+
 def _has_references(reference: Recording, joints: tuple[str, ...]) -> bool:
     return all(reference.has("q_ref", joint) or reference.has("theta_ref", joint) for joint in joints)
 
 
-def _ticks(reference: Recording, control_rate: float) -> np.ndarray:
+def ticks_of(reference: Recording, control_rate: float) -> np.ndarray:
+    """Times of the control ticks along a reference (T,) [s], on its clock."""
     count = int(np.floor(reference.duration * control_rate + 1e-6)) + 1
     return reference.time[0] + np.arange(count) / control_rate
 
 
-def _rest(model: FlexibleJointModel, reference: Recording, controller: bool) -> State:
-    """At rest where the reference begins."""
+def rest_of(model: FlexibleJointModel, reference: Recording, controller: bool) -> State:
+    """The state at rest where the reference begins."""
     q = initial_positions(model)
     for joint in model.joints:
         for channel in ("q_ref", "q") if controller else ("q", "q_ref"):
@@ -231,14 +246,7 @@ def _result(
 ) -> Simulation:
     rows = slice(tape.first, len(tape.time) - 1, stride)  # the last row has no command of its own
     time = reference.time[0] + tape.time[rows] - tape.time[tape.first]
-    given: dict[tuple[str, str], np.ndarray] = {}
-    names = model.robot.joint_names
-    for i, name in enumerate(names):
-        given["tau_m", name] = tape.tau_m[rows, i]
-    if controller:
-        for channel, columns in references_at(model, reference, time).items():
-            given.update({(channel, name): columns[:, i] for i, name in enumerate(names)})
-    given = {key: values for key, values in given.items() if np.all(np.isfinite(values))}
+    given = _given(model, reference, tape, rows, time, controller)
     true = true_signals(model, tape)
     seen = readings(model, tape, true)
     exact = {key: values[rows] for key, values in true.items()}
@@ -248,6 +256,43 @@ def _result(
     return Simulation(
         make(time, {**measured, **given}, label), make(time, {**exact, **given}, f"{label}, true"), tape
     )
+
+
+def measured_rows(
+    model: FlexibleJointModel,
+    reference: Recording,
+    tape: Trajectory,
+    start: State,
+    controller: bool,
+    begin: float,
+) -> Recording:
+    """The readings of a piece of a run from `start`, as `Simulation.measured` has them. The reference holds
+    the times of the piece, and begins at `begin` [s] as a whole."""
+    rows = slice(tape.first, len(tape.time) - 1)
+    time = begin + tape.time[rows] - start.t
+    given = _given(model, reference, tape, rows, time, controller)
+    seen = {
+        (channel, name): _rounded(model, channel, name, values[:-1])
+        for (channel, name), values in readings(model, tape).items()
+    }
+    return Recording(time, {**seen, **given}, f"{model.robot.name} along {reference.name}")
+
+
+def _given(
+    model: FlexibleJointModel,
+    reference: Recording,
+    tape: Trajectory,
+    rows: slice,
+    time: np.ndarray,
+    controller: bool,
+) -> dict[tuple[str, str], np.ndarray]:
+    """What drove the motors at some rows of a tape: torques, and what the controller followed."""
+    names = model.robot.joint_names
+    given = {("tau_m", name): tape.tau_m[rows, i] for i, name in enumerate(names)}
+    if controller:
+        for channel, columns in references_at(model, reference, time).items():
+            given.update({(channel, name): columns[:, i] for i, name in enumerate(names)})
+    return {key: values for key, values in given.items() if np.all(np.isfinite(values))}
 
 
 def _noisy(
@@ -260,6 +305,11 @@ def _noisy(
     out = {}
     for (channel, name), exact in readings.items():
         values = exact + noise.get(channel, 0.0) * random.standard_normal(len(exact))
-        resolution = (model.robot.joint(name).resolution or {}).get(channel, 0.0)
-        out[channel, name] = resolution * np.round(values / resolution) if resolution > 0 else values
+        out[channel, name] = _rounded(model, channel, name, values)
     return out
+
+
+def _rounded(model: FlexibleJointModel, channel: str, joint: str, values: np.ndarray) -> np.ndarray:
+    """Readings in steps of their sensor."""
+    resolution = (model.robot.joint(joint).resolution or {}).get(channel, 0.0)
+    return resolution * np.round(values / resolution) if resolution > 0 else values

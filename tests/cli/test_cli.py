@@ -17,6 +17,7 @@ from support.cli_runs import complaint, run
 
 import flexjoint.diagnosis.pipeline
 from flexjoint.cli import options
+from flexjoint.core.budget import Budget
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.effects import effect
 from flexjoint.model.dynamics import FlexibleJointModel
@@ -42,6 +43,7 @@ def diagnosed(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], None]:
             payloads: object,
             refine: bool,
             check_data: bool,
+            budget: Budget,
         ) -> Diagnosis:
             assert nominal.joint_names == fake_diagnosis.JOINTS and len(recordings) >= 1
             return result
@@ -259,3 +261,12 @@ def test_a_planted_cause_is_named_and_gains(tmp_path: Path) -> None:
         assert run(*words) == 0
         error.append(json.loads((tmp_path / "c.json").read_text())["rms"]["q.joint2"])
     assert error[1] < 0.1 * error[0]
+
+
+# --- how long it takes -------------------------------------------------------------------------------------
+@pytest.mark.parametrize("command", ["diagnose", "compare"])
+def test_a_budget_that_is_no_time_is_refused(
+    command: str, arm: Robot, monday: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = complaint(capsys, command, monday, "--robot", arm.path, "--budget", "soon")
+    assert "budget: expected a time such as 60s, 5min or 1h, got 'soon'" in said

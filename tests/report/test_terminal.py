@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -285,47 +284,3 @@ def test_colour_is_never_needed(monkeypatch):
     terminal.summary(replace(CAUSES, robot="arm2"), Console(file=stream, width=80, force_terminal=True))
     assert "\x1b[3" not in stream.getvalue()  # bold is allowed, colours are not
     assert "Causes named" in stream.getvalue()
-
-
-@pytest.fixture
-def clock() -> Iterator[list[float]]:
-    yield [100.0]
-
-
-def screen(is_terminal: bool, monkeypatch: pytest.MonkeyPatch, term: str = "xterm") -> Console:
-    monkeypatch.setenv("TERM", term)
-    return Console(file=io.StringIO(), width=80, force_terminal=is_terminal)
-
-
-def run(console: Console, clock: list[float], seconds: float, what: str = "scan") -> str:
-    with terminal.Progress(console, lambda: clock[0]) as progress:
-        for step in range(5):
-            progress(step / 4, what)
-            clock[0] += seconds / 4
-    return cast(io.StringIO, console.file).getvalue()
-
-
-def test_long_work_shows_its_progress_on_a_terminal(clock, monkeypatch):
-    text = run(screen(True, monkeypatch), clock, 8.0, "scan [bold]of backlash")
-    assert "scan [bold]of backlash" in text and "100%" in text
-
-
-def test_short_work_pipes_and_dumb_terminals_show_nothing(clock, monkeypatch):
-    assert run(screen(True, monkeypatch), clock, 1.0) == ""
-    assert run(screen(False, monkeypatch), clock, 60.0) == ""
-    assert run(screen(True, monkeypatch, term="dumb"), clock, 60.0) == ""
-
-
-def test_fractions_beyond_the_end_are_harmless(clock, monkeypatch):
-    console = screen(True, monkeypatch)
-    progress = terminal.Progress(console, lambda: clock[0])
-    clock[0] += 3.0
-    progress(1.7, "late")
-    progress.close()
-    progress.close()
-    assert "100%" in cast(io.StringIO, console.file).getvalue()
-
-
-def test_the_null_progress_says_nothing(capsys):
-    terminal.no_progress(0.5, "scan")
-    assert capsys.readouterr() == ("", "")

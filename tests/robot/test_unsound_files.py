@@ -69,6 +69,7 @@ def test_a_file_that_wants_too_much_is_refused(tmp_path: Path, text: str, said: 
     [
         (1e20, "1e+20 is beyond 1e+12"),
         (1e300, "1e+300 is beyond 1e+12"),
+        ("1e20", "1e+20 is beyond 1e+12"),  # without a point it is a text to YAML, and a number to the schema
         (10**400, "is beyond 1e+12"),
         (1e-20, "1e-20 is below 1e-09"),
         (math.nan, "expected a number, got .nan"),

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.errors import RecordingError
 from flexjoint.core.files import check_suffix, write_json
+from flexjoint.core.progress import Report, silent
 from flexjoint.core.text import Block, Line, Table, as_html, plain
 from flexjoint.diagnosis.comparison.estimate import Motion, StateEstimator
 from flexjoint.diagnosis.result.wording import clean, number, unit_of
@@ -39,6 +41,9 @@ from flexjoint.simulation.trajectory import Past, Trajectory
 
 HORIZON = 0.5  # [s]
 LONGEST_GAP = 5.0  # sampling periods over which a drive may be interpolated
+WHOLE = 200_000  # rows, up to which a recording is looked at as one; a longer one in parts of ...
+PART = 60_000  # ... so many, so that neither memory nor the time of a window grows with its length
+RUN_IN = 10.0  # s before a part, from where on what remembers (hysteresis, creep) is followed
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,7 @@ class Comparison:
     robot: str = ""  # names of the two
     recording: str = ""
     prismatic: frozenset[str] = frozenset()  # joints that slide: their channels are in m and N
+    left_out: int = 0  # windows at the end that the time allowed was too short for
 
     def __str__(self) -> str:
         return plain(self.table())
@@ -72,6 +78,8 @@ class Comparison:
             f"{clean(self.robot)} against {clean(self.recording)}: {self.windows} windows of"
             f" {self.horizon:g} s, each from the measured state"
         )
+        if self.left_out:
+            head += f"; the time allowed was over before the other {self.left_out}"
         rows = []
         for name in sorted(self.rms, key=lambda key: -self.nrmse.get(key, 0.0)):
             channel, _, joint = name.partition(".")
@@ -94,6 +102,7 @@ class Comparison:
             "nrmse": dict(self.nrmse),
             "horizon": self.horizon,
             "windows": self.windows,
+            **({"left_out": self.left_out} if self.left_out else {}),
         }
 
 
@@ -104,6 +113,8 @@ def compare(
     horizon: float = HORIZON,
     closed_loop: bool = False,
     engine: Engine = "auto",
+    progress: Report | None = None,
+    budget: Budget = UNLIMITED,
 ) -> Comparison:
     """Simulate the recording in abutting windows of the horizon [s] and measure the error per channel.
 
@@ -114,6 +125,8 @@ def compare(
 
     Args:
         model: a robot, with the effects that it lists, or a model.
+        progress: called with a share in [0, 1] and what is being done.
+        budget: after which no further window begins; `Comparison.left_out` says how many there would be.
 
     Raises RecordingError when the recording lacks what that needs or is shorter than one window,
     SimulationError when the simulation diverges.
@@ -121,7 +134,7 @@ def compare(
     if not isinstance(model, FlexibleJointModel):
         model = FlexibleJointModel(robots.expect(model, "compare"))
     recording = with_torques(model.robot, on_regular_clock(tables.expect(recording, "compare")))
-    return compared(model, recording, horizon, closed_loop, engine)
+    return compared(model, recording, horizon, closed_loop, engine, progress or silent, budget)
 
 
 def compared(
@@ -130,13 +143,54 @@ def compared(
     horizon: float = HORIZON,
     closed_loop: bool = False,
     engine: Engine = "auto",
+    report: Report = silent,
+    budget: Budget = UNLIMITED,
     rollout: Callable[..., Trajectory] = runs.rollout,
 ) -> Comparison:
     """`compare`, of a recording that is on its regular clock already, as that of `Readings` is.
 
     rollout: what simulates under given torques, with the arguments of `flexjoint.simulation.rollout.rollout`.
     """
-    begin, period = recording.time[0], recording.period
+    windows = _windows(recording, horizon)
+    starts = recording.time[0] + horizon * np.arange(windows)
+    simulated = {
+        key: np.full(len(recording.time), np.nan)
+        for key in recording.columns
+        if key[0] in MEASURED and key[1] in model.robot.joint_names
+    }
+    offsets: Mapping[str, float] | None = None
+    done = 0
+    for part, own in _parts(recording, starts, horizon):
+        estimator = StateEstimator(part, model, begin=float(recording.time[0]), offsets=offsets)
+        offsets = estimator.offsets
+        driver = _Driver(part, model, estimator, horizon, windows, closed_loop, engine, rollout)
+        motion = estimator.at(own)
+        for k, start in enumerate(own):
+            if done and budget.spent:
+                break
+            _simulate(driver, motion, k, start, recording, simulated)
+            done += 1
+            report(done / windows, f"window {done} of {windows}")
+        if budget.spent:
+            break
+    rms, nrmse = _errors(recording, simulated)
+    return Comparison(
+        rms,
+        nrmse,
+        horizon,
+        done,
+        recording.time,
+        simulated,
+        robot=model.robot.name,
+        recording=recording.name,
+        prismatic=model.robot.prismatic,
+        left_out=windows - done,
+    )
+
+
+def _windows(recording: Recording, horizon: float) -> int:
+    """How many windows fit in."""
+    period = recording.period
     if 0.0 < horizon < period:
         raise RecordingError(
             f"{recording.name}: a window of {horizon:g} s is shorter than its period, {period:.3g} s;"
@@ -148,36 +202,46 @@ def compared(
             f"{recording.name}: a window of {horizon:g} s does not fit into {recording.duration:.3g} s;"
             " give a horizon > 0 and below the recording's length"
         )
-    starts = begin + horizon * np.arange(windows)
-    estimator = StateEstimator(recording, model)
-    driver = _Driver(recording, model, estimator, horizon, windows, closed_loop, engine, rollout)
-    simulated = {
-        key: np.full(len(recording.time), np.nan)
-        for key in recording.columns
-        if key[0] in MEASURED and key[1] in model.robot.joint_names
-    }
-    motion = estimator.at(starts)
-    for k, start in enumerate(starts):
-        tape = driver.run(start, motion, k)
-        until = driver.driven_until(start, start + horizon)
-        rows = slice(*np.searchsorted(recording.time, [start - 1e-9, until - 1e-9]))
-        grid = tape.time[tape.first :] + begin
-        for (channel, joint), values in readings(model, tape).items():
-            if (channel, joint) in simulated:
-                offset = estimator.offsets.get(joint, 0.0) if channel == "theta" else 0.0
-                simulated[channel, joint][rows] = np.interp(recording.time[rows], grid, values) + offset
-    rms, nrmse = _errors(recording, simulated)
-    return Comparison(
-        rms,
-        nrmse,
-        horizon,
-        windows,
-        recording.time,
-        simulated,
-        robot=model.robot.name,
-        recording=recording.name,
-        prismatic=model.robot.prismatic,
-    )
+    return windows
+
+
+def _parts(
+    recording: Recording, starts: np.ndarray, horizon: float
+) -> Iterator[tuple[Recording, np.ndarray]]:
+    """A long recording in parts, each with the starts of its own windows, and with what is needed around
+    them. Where a channel has no samples in a part, its windows are left out, as those in a gap are."""
+    time = recording.time
+    if time.size <= WHOLE:
+        yield recording, starts
+        return
+    for first in range(0, time.size, PART):
+        end = time[first + PART] if first + PART < time.size else np.inf
+        own = starts[(starts >= time[first]) & (starts < end)]
+        if not own.size:
+            continue
+        rows = slice(*np.searchsorted(time, [own[0] - RUN_IN, own[-1] + horizon + RUN_IN]))
+        columns = {key: values[rows] for key, values in recording.columns.items()}
+        if all(tables.was_measured(values) for values in columns.values()):
+            yield replace(recording, time=time[rows], columns=columns), own
+
+
+def _simulate(
+    driver: _Driver,
+    motion: Motion,
+    k: int,
+    start: float,
+    recording: Recording,
+    simulated: Mapping[tuple[str, str], np.ndarray],
+) -> None:
+    """One window, from the k-th state of a motion, put into its rows of the simulated channels."""
+    tape = driver.run(start, motion, k)
+    until = driver.driven_until(start, start + driver.horizon)
+    rows = slice(*np.searchsorted(recording.time, [start - 1e-9, until - 1e-9]))
+    grid = tape.time[tape.first :] + driver.estimator.begin
+    for (channel, joint), values in readings(driver.model, tape).items():
+        if (channel, joint) in simulated:
+            offset = driver.estimator.offsets.get(joint, 0.0) if channel == "theta" else 0.0
+            simulated[channel, joint][rows] = np.interp(recording.time[rows], grid, values) + offset
 
 
 class _Driver:
@@ -194,7 +258,7 @@ class _Driver:
         engine: Engine,
         rollout: Callable[..., Trajectory],
     ) -> None:
-        self.windows, self.rollout = windows, rollout
+        self.windows, self.horizon, self.rollout = windows, horizon, rollout
         self.recording, self.model, self.estimator = recording, model, estimator
         self.options = RunOptions(engine=engine)
         self.rate, self.control = model.robot.rates.physics, model.robot.rates.control
@@ -276,14 +340,7 @@ def _errors(
 ) -> tuple[dict[str, float], dict[str, float]]:
     rms: dict[str, float] = {}
     nrmse: dict[str, float] = {}
-    pairs = [(f"{c}.{j}", recording.get(c, j), values) for (c, j), values in simulated.items()]
-    for joint in dict.fromkeys(joint for _, joint in simulated):
-        if ("q", joint) in simulated and ("theta", joint) in simulated:
-            measured = recording.get("theta", joint) - recording.get("q", joint)
-            phi = simulated["theta", joint] - simulated["q", joint]
-            both = np.isfinite(phi) & np.isfinite(measured)
-            pairs.append((f"phi.{joint}", measured - np.mean(measured[both]), phi - np.mean(phi[both])))
-    for name, measured, values in pairs:
+    for name, measured, values in _pairs(recording, simulated):
         error = values - measured
         error = error[np.isfinite(error)]
         if not error.size:
@@ -293,3 +350,17 @@ def _errors(
         if spread > 0.0:
             nrmse[name] = rms[name] / spread
     return rms, nrmse
+
+
+def _pairs(
+    recording: Recording, simulated: Mapping[tuple[str, str], np.ndarray]
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Name, measured and simulated samples of what is compared, one after the other."""
+    for (channel, joint), values in simulated.items():
+        yield f"{channel}.{joint}", recording.get(channel, joint), values
+    for joint in dict.fromkeys(joint for _, joint in simulated):
+        if ("q", joint) in simulated and ("theta", joint) in simulated:
+            measured = recording.get("theta", joint) - recording.get("q", joint)
+            phi = simulated["theta", joint] - simulated["q", joint]
+            both = np.isfinite(phi) & np.isfinite(measured)
+            yield f"phi.{joint}", measured - np.mean(measured[both]), phi - np.mean(phi[both])

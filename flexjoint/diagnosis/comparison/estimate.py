@@ -54,15 +54,28 @@ class StateEstimator:
     `offsets` holds the encoder offset [rad] of each joint's theta against q where the robot says that they
     differ from recording to recording, else nothing.
 
+    Args:
+        begin: where the time of laws and onsets begins [s], on the recording's clock; default: its first
+            sample. A part of a recording has the beginning of the whole.
+        offsets: those of the whole recording, of which this is a part; default: estimated.
+
     Raises RecordingError when a joint has neither q nor theta, SimulationError for a floating base.
     """
 
-    def __init__(self, recording: Recording, model: FlexibleJointModel) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        model: FlexibleJointModel,
+        *,
+        begin: float | None = None,
+        offsets: Mapping[str, float] | None = None,
+    ) -> None:
         if model.robot.floating:
             raise SimulationError(
                 "states of a floating base cannot be estimated: no channel measures the base"
             )
         self.recording, self.model = recording, model
+        self.begin = float(recording.time[0]) if begin is None else begin
         self.width = max(WIDTH, PERIODS * recording.period)
         self._samples: dict[tuple[str, str], Samples] = {}
         self._inferred: set[tuple[str, str]] = set()  # positions that no encoder measured
@@ -72,7 +85,7 @@ class StateEstimator:
                     self._samples[channel, joint.name] = self._true_samples(channel, joint.name)
         self._passive = self._passive_joints()
         self._complete()
-        self.offsets: Mapping[str, float] = self._offsets()
+        self.offsets: Mapping[str, float] = self._offsets() if offsets is None else offsets
         for name, offset in self.offsets.items():
             time, theta = self._samples["theta", name]
             self._samples["theta", name] = time, theta - offset
@@ -98,7 +111,7 @@ class StateEstimator:
 
     def state(self, motion: Motion, row: int) -> State:
         """One of the states, as a simulation starts from it."""
-        x = self.model.rest(motion.q[row].copy(), float(motion.time[row] - self.recording.time[0]))
+        x = self.model.rest(motion.q[row].copy(), float(motion.time[row] - self.begin))
         x.v, x.theta, x.dtheta = motion.v[row].copy(), motion.theta[row].copy(), motion.dtheta[row].copy()
         x.z = motion.z[row].copy()
         return x
@@ -121,7 +134,7 @@ class StateEstimator:
         """The samples that are there, corrected by the model's sensor effects, at the times they are of."""
         time, values = self.recording.time.copy(), self.recording.get(channel, joint).copy()
         i = self.model.robot.joint_names.index(joint)
-        t = time - time[0]
+        t = time - self.begin
         for phase, rows in spans(self.model, t):
             flow = phase.flows[i]
             values[rows] = flow.corrected(channel, Signals(t=t[rows]), values[rows])
@@ -184,7 +197,7 @@ class StateEstimator:
             there, lacking, side = ("theta", "q", -1.0)
         position, _, _ = self._smooth(there, joint.name, time)
         phi = np.empty(len(time))
-        for phase, rows in spans(self.model, time - self.recording.time[0]):
+        for phase, rows in spans(self.model, time - self.begin):
             phi[rows] = self._held_deflection(phase, i, time[rows], position[rows], load[rows])
         self._samples[lacking, joint.name] = time, position + side * phi
         self._inferred.add((lacking, joint.name))
@@ -206,11 +219,11 @@ class StateEstimator:
         for name, idx_q, idx_v in places:
             q[:, idx_q], v[:, idx_v], a[:, idx_v] = self._smooth("q", name, time, INFERRED)
         load = np.empty((len(time), len(model.joints)))
-        for phase, rows in spans(model, time - self.recording.time[0]):
+        for phase, rows in spans(model, time - self.begin):
             full = phase.body.rnea_batch(q[rows], v[rows], a[rows])
             for i, flow in enumerate(phase.flows):
                 x, dx = q[rows, flow.joint.idx_q], v[rows, flow.joint.idx_v]
-                s = Signals(time[rows] - self.recording.time[0], x, dx, x, dx)
+                s = Signals(time[rows] - self.begin, x, dx, x, dx)
                 _, on_link = flow.torques(s, np.zeros((model.nz, 1)))
                 load[rows, i] = full[:, flow.joint.idx_v] - on_link
         return load
@@ -242,7 +255,7 @@ class StateEstimator:
         force = HEAVY * np.array([joint.drive.B for joint in model.joints])
         q, v = np.empty((len(time), model.nq)), np.empty((len(time), model.nv))
         x = driven.rest(self._rest_positions(driven, motor[0, :, 0]))
-        for phase, rows in spans(driven, time - begin):
+        for phase, rows in spans(driven, time - self.begin):
             step = make_step(phase, 1.0 / rate)
             for k in range(rows.start, rows.stop):
                 x.theta, x.dtheta, x.ddtheta = motor[k, flexible].T
@@ -302,10 +315,11 @@ class StateEstimator:
             first = command[0] if at_motor is None else at_motor[4][0]
             for slot, value in model.flows[i].steady_state(Signals(q=q[0], theta=theta[0]), first):
                 out[0, slot] = value
-            table = _rows(time - time[0], moved, command, beside)
-            turning = None if at_motor is None else _rows(time - time[0], at_motor[:4], at_motor[4], beside)
+            since = time - self.begin
+            table = _rows(since, moved, command, beside)
+            turning = None if at_motor is None else _rows(since, at_motor[:4], at_motor[4], beside)
             z = out[0].tolist()
-            for phase, rows in spans(model, time - time[0]):
+            for phase, rows in spans(model, time - self.begin):
                 flow = phase.flows[i]
                 for k in range(max(rows.start, 1), rows.stop):
                     s, shaft = _at(table[k - 1]), None if turning is None else _at(turning[k - 1])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.refinement.output_error import Estimate, Refinement
 from flexjoint.diagnosis.refinement.shooting import Shooting, slot_label
@@ -20,15 +21,17 @@ from flexjoint.robot.robot import Robot
 from flexjoint.simulation.simulate import torque_channel
 
 
-def refine(best: Fit, found: Sequence[Finding], workers: int = 1) -> tuple[tuple[Finding, ...], Estimation]:
+def refine(
+    best: Fit, found: Sequence[Finding], workers: int = 1, budget: Budget = UNLIMITED
+) -> tuple[tuple[Finding, ...], Estimation]:
     """Findings with the numbers of their effects refined on the simulation; or unchanged, where that gives no
-    better numbers: the estimation says which, and why. `workers` is the number of processes that share the
-    simulations."""
-    refinement = _begun(best, workers)
+    better numbers, or the `budget` is spent before: the estimation says which, and why. `workers` is the
+    number of processes that share the simulations."""
+    refinement = _begun(best, workers, budget)
     why, follows = refinement if isinstance(refinement, str) else "", False
     if not isinstance(refinement, str):
         try:
-            estimate = refinement.estimate()
+            estimate = refinement.estimate(budget)
         except (FlexJointError, np.linalg.LinAlgError) as error:
             why = str(error)
         else:
@@ -62,7 +65,7 @@ def _known_better(best: Fit, estimate: Estimate) -> str:
     return ""
 
 
-def _begun(best: Fit, workers: int) -> Refinement | str:
+def _begun(best: Fit, workers: int, budget: Budget) -> Refinement | str:
     """A refinement on windows as long as the simulation stays with the readings, or why there is none.
 
     A long window separates slow torques from noise well (a torque moves a link by the square of the time),
@@ -76,6 +79,7 @@ def _begun(best: Fit, workers: int) -> Refinement | str:
     chosen: Refinement | None = None
     try:
         for seconds in limits.window_lengths:
+            budget.check()
             trial = _trial(best, seconds, workers)
             if trial is None:
                 break

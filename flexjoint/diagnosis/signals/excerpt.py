@@ -7,6 +7,7 @@ stretch in which most moves.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,20 +24,37 @@ ENOUGH = 500.0  # Hz, at which the filter is as narrow as it ever is
 WHOLE = 0.9  # of a channel's share of samples: below it every k-th row misses a channel of a rate of its own
 SEEN = 0.05  # s, over which a joint's speed is averaged
 PLACES = 50  # at which a stretch may begin
+SECONDS = 1.5e-3  # of processor time for each sample of a joint: KR300 4e-3, one lever 0.5e-3
+LEAST = 8_000  # samples times joints that are looked at, however little time is allowed
 
 
-def excerpts(robot: Robot, recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+def expected_seconds(robot: Robot, recordings: Sequence[Recording], workers: int) -> float:
+    """About how long a diagnosis takes, by what it will look at: within a factor of three as a rule."""
+    size = sum(recording.time.size for recording in recordings) * len(robot.joints)
+    return SECONDS * min(size, most_samples(robot)) / workers
+
+
+def most_samples(robot: Robot, seconds: float = math.inf) -> int:
+    """Samples times joints that a search can take, in a time [s] on one processor."""
+    joints = len(robot.joints)
+    return int(min(LARGEST / max(1.0, joints / MANY), max(LEAST, seconds / SECONDS)))
+
+
+def excerpts(
+    robot: Robot, recordings: Sequence[Recording], seconds: float = math.inf
+) -> tuple[list[Recording], tuple[str, ...]]:
     """The recordings as they are examined, and notes about what was repaired, left out or cut. Together they
-    are no larger than a search can take.
+    are no larger than a search can take, and than one takes in the `seconds` that are allowed for it.
 
     Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.channels`)."""
     recordings = [inspected(robot, without_pauses(recording)) for recording in recordings]
     repairs = tuple(f"{recording.name}: {note}" for recording in recordings for note in recording.notes)
     joints = len(robot.joints)
-    most = int(LARGEST / (joints * max(1.0, joints / MANY)) / len(recordings))
+    most = most_samples(robot, seconds) // joints // len(recordings)
     kept = [_excerpt(robot, recording, most) for recording in recordings]
+    search = "one search" if math.isinf(seconds) else f"a search in {seconds:g} s"
     notes = tuple(
-        f"{old.name} is too large for one search ({old.time.size} samples of {joints} joints): only"
+        f"{old.name} is too large for {search} ({old.time.size} samples of {joints} joints): only"
         f" {new.time[0]:.4g} to {new.time[-1]:.4g} s were examined, at {1.0 / new.period:.4g} Hz; to examine"
         " another part, cut the file to it"
         for old, new in zip(recordings, kept, strict=True)
@@ -55,7 +73,7 @@ def _excerpt(robot: Robot, recording: Recording, most: int) -> Recording:
 
 def _every(recording: Recording, stride: int) -> Recording:
     """One sample of each `stride`; the recording itself where a channel has its samples in other rows."""
-    columns = {key: values[::stride] for key, values in recording.columns.items()}
+    columns = {key: values[::stride].copy() for key, values in recording.columns.items()}
     for key, values in columns.items():
         if np.mean(np.isfinite(values)) < WHOLE * np.mean(np.isfinite(recording.columns[key])):
             return recording
@@ -73,7 +91,8 @@ def _busiest(robot: Robot, recording: Recording, most: int) -> Recording:
             done = _travelled(recording, recording.get(channel, joint))
             moved += np.round(done[starts + most - 1] - done[starts], 3)
     start = starts[int(np.argmax(moved))]
-    columns = {key: values[start : start + most] for key, values in recording.columns.items()}
+    # copies, so that the rest of a large recording need not stay in memory
+    columns = {key: values[start : start + most].copy() for key, values in recording.columns.items()}
     there = {key: values for key, values in columns.items() if was_measured(values)}
     return replace(recording, time=recording.time[start : start + most], columns=there)
 

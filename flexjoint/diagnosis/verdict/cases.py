@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
+from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.diagnosis.refinement import refined
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
@@ -55,13 +56,15 @@ class StatedCase(SimulatedCase):
     """A set as findings with their numbers; each is made when it is first asked for.
 
     `kept` says why the numbers are not refined on the simulation; if empty, they are. `spread` replaces the
-    standard errors of the first recording. `workers` is the number of processes that share a refinement.
+    standard errors of the first recording. `workers` is the number of processes that share a refinement,
+    `budget` the time after which it is given up.
     """
 
     kept: str
     workers: int
     spread: Mapping[Key, Errors]
     report: Progress = field(repr=False)
+    budget: Budget = UNLIMITED
 
     @cached_property
     def residuals(self) -> tuple[ResidualView, ...]:
@@ -95,7 +98,7 @@ class StatedCase(SimulatedCase):
         if self.kept:
             return self.named, refined.from_balances(best, self.kept)
         self.report(0.95, "refining the numbers on the simulation")
-        found, estimation = refined.refine(best, self.named, self.workers)
+        found, estimation = refined.refine(best, self.named, self.workers, self.budget)
         return followed(best, found, estimation), estimation
 
     @property

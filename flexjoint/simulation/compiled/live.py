@@ -10,6 +10,7 @@ from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.simulation.compiled.model import CompiledModel, DriverRun, row_of
 from flexjoint.simulation.loop import diverged
 from flexjoint.simulation.schemes.implicit import not_converged
+from flexjoint.simulation.trajectory import Trajectory
 
 
 class LiveRun:
@@ -17,12 +18,15 @@ class LiveRun:
 
     Args:
         compiled: the compiled model. model: a numeric one of its structure. start: where it begins.
+        kept: steps whose rows are kept at least, beside those that delays look up.
     """
 
-    def __init__(self, compiled: CompiledModel, model: FlexibleJointModel, start: State) -> None:
+    def __init__(
+        self, compiled: CompiledModel, model: FlexibleJointModel, start: State, kept: int = 2
+    ) -> None:
         self._begin, self._model, self.done = start.t, model, 0
         first = compiled.history
-        window = first + 3
+        window = first + 1 + max(kept, 2)
         self._x, self._tau_m = np.empty((window, compiled.program.row)), np.zeros((window, len(model.joints)))
         self._x[: first + 1] = row_of(model, start)
         sizes = (model.nq, model.nv, model.nf, model.nf, model.nz, model.nv, model.nf, len(model.rigid))
@@ -63,12 +67,39 @@ class LiveRun:
 
         Raises SimulationError where numbers are no longer finite, or a step does not converge.
         """
-        run, compiled = self._run, self._compiled
-        run.reference, run.reference_step = reference.ctypes.data, 0
+        self._run.reference, self._run.reference_step = reference.ctypes.data, 0
+        self._run.gains = gains.ctypes.data
+        self._take(self.done + steps, values)
+
+    def along(
+        self, end: int, values: np.ndarray, drive: np.ndarray, origin: int, gains: np.ndarray
+    ) -> Trajectory:
+        """The steps up to a number, at most `kept`, along rows of references, or of torques where there is no
+        law, of which the first is that of tick `origin` (of torques: of step `origin`). Returns their rows,
+        with those before that delays look up.
+
+        Raises as `advance` does.
+        """
+        run, compiled, begin = self._run, self._compiled, self.done
+        drive = np.ascontiguousarray(drive, dtype=float)
+        place = drive.ctypes.data - origin * drive.shape[1] * drive.itemsize
         run.gains = gains.ctypes.data
-        failed = compiled.take_steps(run, values, self.done, self.done + steps)
+        if compiled.law_kind is None:
+            run.torque = place
+        else:
+            run.reference, run.reference_step = place, drive.shape[1]
+        self._take(end, values)
+        rows = np.arange(begin, run.first + end + 1)
+        time = self._begin + (rows - run.first) / compiled.rate
+        tau_m = self._tau_m[rows % run.window]
+        tau_m[-1] = tau_m[-2]
+        return compiled.tape_of(time, self._x[rows % run.window], tau_m, run.first)
+
+    def _take(self, end: int, values: np.ndarray) -> None:
+        run, compiled = self._run, self._compiled
+        failed = compiled.take_steps(run, values, self.done, end)
         if failed < 0:
-            self.done += steps
+            self.done = end
         elif run.worst >= 0:
             self.done = failed
             raise not_converged(self._model, run.t, run.h, run.worst)

@@ -289,21 +289,9 @@ class CompiledModel:
     def trajectory(self, job: Job, rows: Rows) -> Trajectory:
         """The whole tape of a run; raises SimulationError where it left the finite numbers."""
         model, x = self._layout, rows.states
-        ends = np.cumsum([0, model.nq, model.nv, model.nf, model.nf, model.nz])
-        q, v, theta, dtheta, z = (x[:, a:b] for a, b in pairwise(ends))
-        tau_rigid = x[:, ends[-1] + model.nv + model.nf :]
         time = job.t + (np.arange(len(x)) - rows.first) / self.rate
-        tape = Trajectory(
-            time=time,
-            q=q,
-            v=v,
-            theta=theta,
-            dtheta=dtheta,
-            z=z,
-            tau_rigid=tau_rigid,
-            tau_m=rows.tau_m,
-            first=rows.first,
-        )
+        tape = self.tape_of(time, x, rows.tau_m, rows.first)
+        v, dtheta = tape.v, tape.dtheta
         if rows.worst >= 0:
             at = float(time[rows.first + rows.failed])
             raise not_converged(model, at, 1.0 / self.rate, rows.worst)
@@ -313,6 +301,23 @@ class CompiledModel:
             row = rows.first + int(np.argmin(finite))
             raise diverged(model, v[row], float(time[row]), self.options.scheme, self.rate)
         return tape
+
+    def tape_of(self, time: np.ndarray, states: np.ndarray, tau_m: np.ndarray, first: int) -> Trajectory:
+        """The trajectory of rows (R, row) of states, `first` of which lie before the start."""
+        model = self._layout
+        ends = np.cumsum([0, model.nq, model.nv, model.nf, model.nf, model.nz])
+        q, v, theta, dtheta, z = (states[:, a:b] for a, b in pairwise(ends))
+        return Trajectory(
+            time=time,
+            q=q,
+            v=v,
+            theta=theta,
+            dtheta=dtheta,
+            z=z,
+            tau_rigid=states[:, ends[-1] + model.nv + model.nf :],
+            tau_m=tau_m,
+            first=first,
+        )
 
 
 class RatesProgram:

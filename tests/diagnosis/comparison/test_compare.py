@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.arms import PLANAR, make
 
+from flexjoint.core.budget import Budget
 from flexjoint.core.errors import RecordingError, SimulationError
 from flexjoint.diagnosis.comparison.compare import Comparison, compare
 from flexjoint.diagnosis.comparison.estimate import StateEstimator
@@ -347,3 +349,55 @@ def test_rates_without_noise_do_not_drown_noisy_positions() -> None:
     model, few = FlexibleJointModel(make(PLANAR), []), {"q": 2e-5, "theta": 2e-5}
     measured = simulate(model, reference(JOINTS, 2.0), sample_rate=500.0, noise=few, seed=1).measured
     assert compare(model, measured, horizon=0.25).nrmse["q.hip"] < 0.01
+
+
+# ------------------------------------------------------------------ long recordings
+def test_a_long_recording_is_compared_part_by_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time of laws and onsets counts from the beginning of the whole."""
+    late = [
+        effect("periodic_disturbance", "hip", amplitude=3.0, frequency=0.7),
+        replace(effect("motor_coulomb_friction", "knee", level=2.0), since=1.6),
+        effect("spring_hysteresis", "knee", level=1.1, scale=3e-3),
+    ]
+    measured = recorded(*late)
+    whole = judged(measured, *late)
+    sizes: list[int] = []
+    estimator = StateEstimator
+
+    def counted(part: Recording, *given: object, **named: object) -> StateEstimator:
+        sizes.append(len(part.time))
+        return estimator(part, *given, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("flexjoint.diagnosis.comparison.compare.StateEstimator", counted)
+    for name, value in (("WHOLE", 1000), ("PART", 300), ("RUN_IN", 0.4)):
+        monkeypatch.setattr(f"flexjoint.diagnosis.comparison.compare.{name}", value)
+    told: list[float] = []
+    model = FlexibleJointModel(make(PLANAR), late)
+    parts = compare(model, measured, progress=lambda share, _what: told.append(share))
+    assert len(sizes) == 5 and max(sizes) < 0.6 * len(measured.time)
+    assert parts.windows == whole.windows == len(told) and told[-1] == 1.0
+    for name, value in whole.rms.items():
+        # noise is told from the samples of a part, and the spring's memory from 0.4 s before it: that is
+        # 2.3e-5 rad of phi; a disturbance out of phase or friction at a wrong time is far more
+        channel = name.split(".")[0].replace("phi", "q")
+        assert parts.rms[name] == pytest.approx(value, abs=2.0 * NOISE[channel]), name
+    assert excess(parts) < 12.0  # as the true model's are as a rule
+
+
+def test_a_part_without_a_channel_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = recorded()
+    torque = measured.get("tau_m", "hip").copy()
+    torque[500:1100] = np.nan
+    broken = table(measured.time, {**measured.columns, ("tau_m", "hip"): torque}, "broken")
+    for name, value in (("WHOLE", 1000), ("PART", 250), ("RUN_IN", 0.02)):
+        monkeypatch.setattr(f"flexjoint.diagnosis.comparison.compare.{name}", value)
+    simulated = judged(broken).simulated["q", "hip"]
+    assert np.all(np.isfinite(simulated[:500])) and np.all(np.isnan(simulated[520:1000]))
+    assert np.all(np.isfinite(simulated[1250:]))
+
+
+def test_a_budget_leaves_out_the_windows_at_the_end() -> None:
+    result = compare(make(PLANAR), recorded(), budget=Budget(0.0))
+    assert (result.windows, result.left_out) == (1, 5)
+    assert result.to_json()["left_out"] == 5 and "before the other 5" in str(result)
+    assert np.all(np.isnan(result.simulated["q", "hip"][260:]))
