@@ -13,13 +13,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
+from flexjoint.diagnosis.regression.fit import Fit, fit, held_beside, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.effects import Kind, Parameter, Planned, Site
 from flexjoint.rigidbody.numeric import inertial_of
 
 LEVEL_ROUNDS = 5  # fits at most, each at the noise level that the last one left, until
+FEW = 6  # iterations of a fit whose energy is only compared with a far larger one
 SAME_LEVEL = 0.1  # the logarithm of the level changes by less than this
 
 
@@ -52,13 +53,15 @@ def unexplained_energy(result: Fit) -> float:
     return max(0.0, result.energy - result.problem.noise_energy)
 
 
-def at_own_level(result: Fit) -> Fit:
-    """The set fitted again at the noise level that it leaves itself."""
+def at_own_level(result: Fit, tried: Planned | None = None) -> Fit:
+    """The set fitted again at the noise level that it leaves itself. Where one of its effects is `tried`,
+    those that share no balance with it keep their numbers."""
     for _ in range(LEVEL_ROUNDS):
         last = result.problem
         problem = last.at(last.plausible_level(result.y))
         change = np.abs(np.log(problem.level.inflation / last.level.inflation))
-        result = fit(problem, result.effects)
+        held = () if tried is None else held_beside(result.effects, tried)
+        result = fit(problem, result.effects, held=held)
         if np.all(change < SAME_LEVEL):
             break
     return result
@@ -163,8 +166,13 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
     if beside:
         # what the other causes on the joint explain is known only up to the error of the method, and a new
         # effect may fit that error; one that leaves next to nothing does not
-        alone = fit(trial.problem, [e for e in trial.effects if e not in beside])
-        if gained < _method_error(trial, gained) * (alone.energy - trial.energy):
+        others = [e for e in trial.effects if e not in beside]
+        least, held = gained / _method_error(trial, gained), held_beside(others, added)
+        for iterations in (0, FEW):  # most often all is clear before they are fitted again
+            alone = fit(trial.problem, others, iterations, held)
+            if least >= alone.energy - trial.energy:
+                break
+        else:
             return False
     if contradicted(trial, without):
         return False
