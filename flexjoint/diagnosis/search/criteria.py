@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, fit, held_beside, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
@@ -48,9 +49,16 @@ def score(result: Fit) -> float:
     return result.energy + price(result) + (reconstructed + chance) * len(result.effects)
 
 
-def unexplained_energy(result: Fit) -> float:
-    """Energy above that of the predicted noise."""
-    return max(0.0, result.energy - result.problem.noise_energy)
+def unexplained_energy(result: Fit, joint: str | None = None) -> float:
+    """Energy above that of the predicted noise, in all balances or in those of a joint: on a real machine
+    each joint has its own error."""
+    problem = result.problem
+    if joint is None:
+        return max(0.0, result.energy - problem.noise_energy)
+    own = [problem.robot.joints[row.joint].name == joint for row in problem.balances.rows]
+    left = (problem.rest(result.y) * problem.weights).reshape(len(own), -1)[own]
+    noise = problem.freedom / len(own) * np.sum(1.0 / problem.level.inflation[own])
+    return max(0.0, float(np.sum(left**2) - noise))
 
 
 def at_own_level(result: Fit, tried: Planned | None = None) -> Fit:
@@ -158,7 +166,8 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
         return False
     if shared_by_tolerances(trial, without, added) or _between_samples(trial, added):
         return False
-    gained, left = explained(trial, without, added), unexplained_energy(trial)
+    gained = explained(trial, without, added)
+    left = unexplained_energy(trial, added.joint if acts_within_a_joint(added) else None)
     paid = price(trial) - price(without)
     if gained - paid < trial.settings.search.unexplained_share * left:
         return False
