@@ -485,6 +485,9 @@ class SearchSettings(Stage):
     )
     most_amplitude: float = number(1.5, "times its start", "to which a scan lets an effect grow", "judgement")
     polished: int = number(8, "candidates", "that are fitted in full at each step", "judgement")
+    polished_beside: int = number(
+        4, "candidates", "of every joint but the one with the best candidate, likewise", "judgement"
+    )
     promising: float = number(
         0.3, "share of the best gain", "that they must show to first order", "judgement"
     )

@@ -131,12 +131,15 @@ def _grown(
 ) -> Fit:
     """The set with causes added one by one, as long as the data support another one; sets that were `seen`
     are not tried again."""
+    done: frozenset[str | None] = frozenset()  # joints on which nothing was found since they changed
     while len(best.effects) < most_effects(best.problem):
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
         scans.append(both[0])
-        found = larger_sets(best, both, bare, search.pool)
+        found = larger_sets(best, both, bare, search.pool, done)
+        if not found and done:
+            found, done = larger_sets(best, both, bare, search.pool), frozenset()
         found = found or on_all_joints(best, search.scanner.candidates)
         grown = _best_at_own_level(best, found)
         if grown is None:
@@ -150,6 +153,8 @@ def _grown(
         trace += steps_between(grown, best, STAGE, "price", why)
         seen.add(_keys(best))
         newest = {e.joint for e in best.effects if e.key not in _keys(before)}
+        helped = {f.effects[-1].joint for f in found} | newest
+        done = frozenset((done | {*best.problem.robot.joint_names}) - helped)
         older = [e for e in best.effects if e.joint in newest and e.key in _keys(before)]
         before, (best, _) = best, exchange(search, best, older)
         trace += _exchanged(before, best)
@@ -159,14 +164,13 @@ def _grown(
 def _with_other_joints(grown: Fit, found: Sequence[Fit]) -> Fit:
     """The set with the best of the other sets' causes on each other joint as well: one round serves all
     joints, as a cause that acts within its joint does not replace one on another joint. A load acts on many
-    joints: as long as a set with a load is among those found, causes enter one by one."""
-    newest = [f.effects[-1] for f in found]
-    if not all(acts_within_a_joint(e) for e in newest):
-        return grown
+    joints: what explains less than the best load waits."""
     joints = {grown.effects[-1].joint}
     others: list[Planned] = []
-    for trial in sorted(found, key=score):
+    for trial in sorted(found, key=score) if acts_within_a_joint(grown.effects[-1]) else ():
         e = trial.effects[-1]
+        if not acts_within_a_joint(e):
+            break
         if e.joint not in joints:
             joints.add(e.joint)
             others.append(e)

@@ -4,14 +4,14 @@ leave. A pool of processes shares the work."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from flexjoint.core.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, held_beside
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
@@ -39,16 +39,21 @@ def at_noise(best: Fit) -> Fit | None:
 
 
 def larger_sets(
-    best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, pool: WorkerPool
+    best: Fit,
+    scanned: Sequence[Sequence[Scored]],
+    bare: Fit | None,
+    pool: WorkerPool,
+    done: Collection[str | None] = (),
 ) -> list[Fit]:
     """Sets of one more effect that are better than `best`, all fitted at the same noise level. `scanned`
     holds the scan of `best` and, where there is one, that of `bare`, the same set at the level of the
-    predicted noise.
+    predicted noise. Joints that are `done` are left out.
 
     The noise level of `best` may be so high that no cause improves the set visibly, not even one that leaves
     a tenth of the variance in the wrong balances, or after which no nominal number is implausible. Such sets
     are therefore judged at the level that they leave themselves, and candidates are also taken from the scan
     of `bare`."""
+    scanned = [[one for one in scan if one.candidate.joint not in done] for scan in scanned]
     scored = promising(best, scanned[0])
     judged = pool.map(_judged, [(evaluated(best), one) for one in scored])
     found = [f for f, better in judged if f is not None and better]
@@ -83,7 +88,7 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
     levels = bare.problem.variances(above.y)
     if not np.any(levels[marked] > above.settings.regression.noise_decides):
         return above
-    below = fit(bare.problem, above.effects)
+    below = fit(bare.problem, above.effects, held=held_beside(above.effects[:-1], above.effects[-1]))
     if degenerate(below.problem, below.effects[-1]):
         return above
     lower = _cleared(best, bare.problem.variances(below.y), marked) > _cleared(best, levels, marked)
@@ -212,7 +217,7 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     """A set of one more effect than `best` at the noise level that it leaves, if the data support it there
     and if that level is clearly lower, or no nominal number is implausible any more."""
     best, trial = task
-    refitted = at_own_level(trial)
+    refitted = at_own_level(trial, trial.effects[-1])
     relieved = best.problem.level.implausibility > 1.0 and refitted.problem.level.implausibility <= 1.0
     # the part of the inflation that both sets need for implausible numbers has another cause than this one
     levels = refitted.problem.level.inflation / min(
@@ -267,20 +272,36 @@ def _astray(value: float, looked: Sequence[float], factor: float) -> bool:
     return bool(looked) and not min(looked) / factor <= value <= max(looked) * factor
 
 
-def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
-    """The candidates that deserve a full fit: their gain to first order is near that of the best one, and
-    near the energy that a rival needs (`needed`), and their torque may be large enough to be named."""
+def promising(current: Fit, scanned: Sequence[Scored]) -> list[Scored]:
+    """The candidates that deserve a full fit: of each joint, those whose gain to first order is near that of
+    its best one, and whose torque may be large enough to be named. A joint's error is not held against that
+    of another one: on a real machine every joint has one."""
+    by_joint: dict[str | None, list[Scored]] = {}
+    for scored in scanned:  # the best first
+        by_joint.setdefault(scored.candidate.joint, []).append(scored)
+    limits, out = current.settings.search, []
+    for k, own in enumerate(by_joint.values()):
+        out += _nearest(current, own, 0.0, limits.polished if k == 0 else limits.polished_beside)
+    return out
+
+
+def alternatives(current: Fit, scanned: Sequence[Scored], needed: float) -> list[Scored]:
+    """The candidates for the place of an effect that deserve a full fit: those whose gain to first order is
+    near that of the best one, and near the energy that is needed."""
+    return _nearest(current, scanned, needed, current.settings.search.alternatives)
+
+
+def _nearest(current: Fit, scanned: Sequence[Scored], needed: float, count: int) -> list[Scored]:
     limits = current.settings.search
     joints = Counter(e.joint for e in current.effects)
-    scanned = [
+    free = [
         s for s in scanned if s.candidate.joint is None or joints[s.candidate.joint] < limits.most_on_joint
     ]
-    if not scanned:
+    if not free:
         return []
-    most = scanned[0].removes  # to first order, which may be less than `needed`
+    most = free[0].removes  # to first order, which may be less than `needed`
     enough = max(limits.promising * most, limits.alternative_share * min(needed, most), limits.chance)
-    count = limits.alternatives if needed > 0.0 else limits.polished
-    near = [scored for scored in scanned[:count] if scored.removes >= enough]
+    near = [scored for scored in free[:count] if scored.removes >= enough]
     return [scored for scored in near if might_matter(current, scored)]
 
 
@@ -298,7 +319,7 @@ def might_matter(current: Fit, scored: Scored) -> bool:
 
 def polish(current: Fit, scanned: Sequence[Scored], needed: float, pool: WorkerPool) -> list[Fit]:
     """The most promising candidates fitted together with the current set, and dated."""
-    fits = pool.map(_polished, [(current, scored) for scored in promising(current, scanned, needed)])
+    fits = pool.map(_polished, [(current, scored) for scored in alternatives(current, scanned, needed)])
     return [f for f in fits if f is not None]
 
 
@@ -312,9 +333,11 @@ def _added(task: tuple[Fit, Scored]) -> Fit | None:
 
 
 def added_to(current: Fit, scored: Scored) -> Fit | None:
-    """A set with a candidate added, fitted and dated; None where its fitted numbers mean nothing
-    (`degenerate`)."""
-    fitted = date_onset(fit(current.problem, [*current.effects, scored.planned()]))
+    """A set with a candidate added, fitted and dated, causes within other joints as they are; None where its
+    fitted numbers mean nothing (`degenerate`)."""
+    planned = scored.planned()
+    held = held_beside(current.effects, planned)
+    fitted = date_onset(fit(current.problem, [*current.effects, planned], held=held))
     return None if degenerate(current.problem, fitted.effects[-1]) else fitted
 
 
@@ -325,11 +348,13 @@ def date_onset(result: Fit) -> Fit:
     if added.since is None:
         return result
     problem, limits = result.problem, result.settings.search
-    always = fit(problem, [*result.effects[:-1], replace(added, since=None)])
+    held = held_beside(result.effects[:-1], added)
+    always = fit(problem, [*result.effects[:-1], replace(added, since=None)], held=held)
     for steps in limits.onset_steps:
         moved = _moved_onset(result, steps)
         if moved != result.effects[-1].since:
-            trial = fit(problem, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
+            later = replace(result.effects[-1], since=moved)
+            trial = fit(problem, [*result.effects[:-1], later], held=held)
             if trial.energy < result.energy:
                 result = trial
     end, since = float(problem.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
