@@ -39,6 +39,7 @@ from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 
 SEARCHED = 0.92  # share of the progress that the searches are
+SEARCH_TIME = 0.7  # share of the time allowed after which the searches end
 
 Progress = Callable[[float, str], None]
 
@@ -103,7 +104,7 @@ def diagnose(
     stated = reviewed(_stated(case, spread, refine, len(recordings), task), checks.FINDINGS)
     known = _known(recordings, payloads)
     checked = [notes(stated.trace[a:b]) for a, b in pairwise((0, len(first.trace), len(case.trace), None))]
-    said = (*checked[0], *common, *cut, *known, *checked[1], *robust, *checked[2])
+    said = (*first.selection.left_out, *checked[0], *common, *cut, *known, *checked[1], *robust, *checked[2])
     return replace(_diagnosis(stated, candidates, said, task), data=data)
 
 
@@ -163,7 +164,8 @@ def _balanced(robot: Robot, recording: Recording, settings: Settings) -> tuple[s
 
 def _searched(problem: Problem, candidates: Sequence[Candidate], task: _Task) -> Case:
     """The set of causes that explains a recording by itself, as far as its balances support it."""
-    selection = select(problem, candidates, task.report, workers=task.workers)
+    budget = task.budget.part(SEARCH_TIME)
+    selection = select(problem, candidates, task.report, workers=task.workers, budget=budget)
     case = Case(selection, selection.trace)
     return reviewed(reviewed(case, checks.BALANCES), checks.NAMES)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
@@ -26,6 +27,7 @@ from flexjoint.diagnosis.search.criteria import (
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.scan import Scanner, Scored
 from flexjoint.diagnosis.search.trials import (
+    Larger,
     at_noise,
     beside_rivals,
     date_onset,
@@ -37,6 +39,10 @@ from flexjoint.diagnosis.search.trials import (
 from flexjoint.effects import Planned, catalogue
 
 STAGE = "search"  # in the trace
+LEFT_OUT = (
+    "the time allowed was over during the search: further causes were not looked for, and not every cause was"
+    " compared with its rivals"
+)
 
 Progress = Callable[[float, str], None]
 Key = tuple[str, str | None]  # of an effect on a joint
@@ -53,6 +59,7 @@ class Selection:
     rivals: tuple[tuple[Fit, ...], ...]  # per chosen effect: fits with another in its place, best first
     explains: Mapping[Key, float] = field(default_factory=dict)  # energy, where it is of several recordings
     trace: tuple[Step, ...] = ()  # how the set came about
+    left_out: tuple[str, ...] = ()  # what the time allowed was too short for
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,7 @@ class Search:
 
     scanner: Scanner
     pool: WorkerPool
+    budget: Budget = UNLIMITED
 
     def scan(self, current: Fit, replaced: Planned) -> tuple[Scored, ...]:
         """Candidates for the place of an effect. Where an angle was not measured but computed from the
@@ -76,12 +84,14 @@ def select(
     report: Progress,
     start: Sequence[Planned] = (),
     workers: int = 1,
+    budget: Budget = UNLIMITED,
 ) -> Selection:
     """Forward selection with full refits, exchanges and pruning; `start` seeds the set. Any number of
-    `workers` (processes) gives the same bits."""
+    `workers` (processes) gives the same bits. When the time of a `budget` is over the set is taken as it
+    is."""
     scanner = Scanner(candidates)
     with worker_pool([*problem.shared(), *catalogue().values(), *candidates, scanner], workers) as processes:
-        return _select(problem, Search(scanner, processes), report, start)
+        return _select(problem, Search(scanner, processes, budget), report, start)
 
 
 def _select(problem: Problem, search: Search, report: Progress, start: Sequence[Planned]) -> Selection:
@@ -118,7 +128,8 @@ def _select(problem: Problem, search: Search, report: Progress, start: Sequence[
                 continue
         break
     first, last = (scans[0], scans[-1]) if scans else ((), ())
-    return Selection(best, nothing, first, last, rivals, trace=tuple(trace))
+    left_out = (LEFT_OUT,) if search.budget.spent else ()
+    return Selection(best, nothing, first, last, rivals, trace=tuple(trace), left_out=left_out)
 
 
 def _grown(
@@ -132,19 +143,20 @@ def _grown(
     """The set with causes added one by one, as long as the data support another one; sets that were `seen`
     are not tried again."""
     done: frozenset[str | None] = frozenset()  # joints on which nothing was found since they changed
-    while len(best.effects) < most_effects(best.problem):
+    while len(best.effects) < most_effects(best.problem) and not search.budget.spent:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
         scans.append(both[0])
         found = larger_sets(best, both, bare, search.pool, done)
-        if not found and done:
+        if not found.every and done:
             found, done = larger_sets(best, both, bare, search.pool), frozenset()
-        found = found or on_all_joints(best, search.scanner.candidates)
-        grown = _best_at_own_level(best, found)
+        if not found.every:
+            found = Larger(on_all_joints(best, search.scanner.candidates))
+        grown = _best_at_own_level(best, found.every)
         if grown is None:
             break
-        grown = _with_other_joints(grown, found)
+        grown = _with_other_joints(best, grown, found)
         before, best = best, prune(grown)
         if _keys(best) in seen:  # it would lead there again
             return before
@@ -153,7 +165,7 @@ def _grown(
         trace += steps_between(grown, best, STAGE, "price", why)
         seen.add(_keys(best))
         newest = {e.joint for e in best.effects if e.key not in _keys(before)}
-        helped = {f.effects[-1].joint for f in found} | newest
+        helped = {f.effects[-1].joint for f in found.every} | newest
         done = frozenset((done | {*best.problem.robot.joint_names}) - helped)
         older = [e for e in best.effects if e.joint in newest and e.key in _keys(before)]
         before, (best, _) = best, exchange(search, best, older)
@@ -161,22 +173,19 @@ def _grown(
     return best
 
 
-def _with_other_joints(grown: Fit, found: Sequence[Fit]) -> Fit:
-    """The set with the best of the other sets' causes on each other joint as well: one round serves all
-    joints, as a cause that acts within its joint does not replace one on another joint. A load acts on many
-    joints: what explains less than the best load waits."""
-    joints = {grown.effects[-1].joint}
-    others: list[Planned] = []
-    for trial in sorted(found, key=score) if acts_within_a_joint(grown.effects[-1]) else ():
-        e = trial.effects[-1]
-        if not acts_within_a_joint(e):
-            break
-        if e.joint not in joints:
-            joints.add(e.joint)
-            others.append(e)
-    if not others:
+def _with_other_joints(best: Fit, grown: Fit, found: Larger) -> Fit:
+    """The set with the best cause within each other joint as well: one round serves all joints, as a cause
+    that acts within its joint does not replace one on another joint. Where a load explains most, which acts
+    on many joints, nothing is added to it."""
+    added = grown.effects[-1]
+    if not acts_within_a_joint(added):
         return grown
-    return at_own_level(fit(grown.problem, [*grown.effects, *others]))
+    others = [
+        trial.effects[-1]
+        for own in found.of_joints
+        if own[0].effects[-1].joint != added.joint and (trial := _best_at_own_level(best, own)) is not None
+    ]
+    return at_own_level(fit(grown.problem, [*grown.effects, *others])) if others else grown
 
 
 def _exchanged(before: Fit, after: Fit) -> tuple[Step, ...]:
@@ -239,7 +248,7 @@ def exchange(
     rivals: dict[Key, tuple[Fit, ...]] = {}
     waiting = [e.key for e in places]
     exchanges = 0  # bounded, so that two equals do not alternate for ever
-    while waiting:
+    while waiting and not search.budget.spent:
         key = waiting.pop(0)
         replaced = next((e for e in result.effects if e.key == key), None)
         if replaced is None:

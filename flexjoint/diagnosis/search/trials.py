@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,16 +38,26 @@ def at_noise(best: Fit) -> Fit | None:
     return fit(problem.at(NoiseLevel.predicted(len(problem.balances.rows))), best.effects)
 
 
+@dataclass(frozen=True)
+class Larger:
+    """Sets of one more effect: all of them at the same noise level, and, for each joint, those with another
+    cause within it, at a level of their own. On a real machine every joint has an error, and the noise level
+    that the error of one leaves says nothing of the others."""
+
+    every: Sequence[Fit]
+    of_joints: Sequence[Sequence[Fit]] = ()
+
+
 def larger_sets(
     best: Fit,
     scanned: Sequence[Sequence[Scored]],
     bare: Fit | None,
     pool: WorkerPool,
     done: Collection[str | None] = (),
-) -> list[Fit]:
-    """Sets of one more effect that are better than `best`, all fitted at the same noise level. `scanned`
-    holds the scan of `best` and, where there is one, that of `bare`, the same set at the level of the
-    predicted noise. Joints that are `done` are left out.
+) -> Larger:
+    """Sets of one more effect that are better than `best`. `scanned` holds the scan of `best` and, where
+    there is one, that of `bare`, the same set at the level of the predicted noise. Joints that are `done` are
+    left out.
 
     The noise level of `best` may be so high that no cause improves the set visibly, not even one that leaves
     a tenth of the variance in the wrong balances, or after which no nominal number is implausible. Such sets
@@ -69,8 +79,19 @@ def larger_sets(
         others = [s for s in promising(bare, scanned[1]) if (s.candidate, s.since) not in known]
         trials = pool.map(_clearer, [(best, bare, f) for f in trials])
         trials += [f for f in pool.map(_added, [(bare, one) for one in others]) if f is not None]
-        found += clearing(best, trials, bare, pool)
-    return on_one_level(found, pool)
+        for group in _by_joint(trials):
+            found += clearing(best, group, bare, pool)
+    within = [f for f in found if acts_within_a_joint(f.effects[-1])]
+    return Larger(on_one_level(found, pool), [on_one_level(group, pool) for group in _by_joint(within)])
+
+
+def _by_joint(fits: Sequence[Fit]) -> list[list[Fit]]:
+    """Sets in groups: those with another cause within each joint, and all others."""
+    groups: dict[str | None, list[Fit]] = {}
+    for one in fits:
+        added = one.effects[-1]
+        groups.setdefault(added.joint if acts_within_a_joint(added) else None, []).append(one)
+    return list(groups.values())
 
 
 def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
