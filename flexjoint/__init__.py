@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.design.robustness import worst_case
     from flexjoint.design.tomei import tomei
     from flexjoint.design.verification import verify
+    from flexjoint.diagnosis.checking.check import check
+    from flexjoint.diagnosis.checking.values import Check
     from flexjoint.diagnosis.comparison.compare import Comparison, compare
     from flexjoint.diagnosis.data.check import DataCheck, check_data
     from flexjoint.diagnosis.experiment import Plan, plan
@@ -44,6 +46,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.simulation.simulate import Simulation, simulate
 
 __all__ = [
+    "Check",
     "Comparison",
     "DataCheck",
     "Diagnosis",
@@ -57,6 +60,7 @@ __all__ = [
     "Robot",
     "Simulation",
     "catalogue",
+    "check",
     "check_data",
     "compare",
     "diagnose",
@@ -83,6 +87,7 @@ __all__ = [
 ]
 
 _PLACES = {  # name: module and what it is called there
+    "Check": ("diagnosis.checking.values", "Check"),
     "Comparison": ("diagnosis.comparison.compare", "Comparison"),
     "DataCheck": ("diagnosis.data.check", "DataCheck"),
     "Diagnosis": ("diagnosis.result", "Diagnosis"),
@@ -96,6 +101,7 @@ _PLACES = {  # name: module and what it is called there
     "Robot": ("robot.robot", "Robot"),
     "Simulation": ("simulation.simulate", "Simulation"),
     "catalogue": ("effects", "catalogue"),
+    "check": ("diagnosis.checking.check", "check"),
     "check_data": ("diagnosis.data.check", "check_data"),
     "compare": ("diagnosis.comparison.compare", "compare"),
     "diagnose": ("diagnosis.pipeline", "diagnose"),

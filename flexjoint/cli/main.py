@@ -1,7 +1,7 @@
 """The command line: `flexjoint init | import | check-data | diagnose | compare | simulate | view | ...`.
 
-Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
-standard error. What a command needs is imported when it runs.
+Exit code 0 when the work was done (a diagnosis that refuses is done), 1 where a check finds a change, 2 on
+unusable input with one line on standard error. What a command needs is imported when it runs.
 """
 
 from __future__ import annotations
@@ -20,15 +20,20 @@ from flexjoint.core.errors import FlexJointError
 
 UNUSABLE = 2
 INTERRUPTED = 130
+CHECK = (
+    "Refit the known causes to a new recording. Exit code 0: as before; 1: changed; 2: unusable."
+    " --robot is the nominal robot of the diagnosis; an extended robot may stand alone."
+)
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # what an output that takes no more says
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code (`--help` and wrong usage exit by themselves)."""
+    """Run one command; returns the exit code, 0 unless the command has another (`--help` and wrong usage exit
+    by themselves)."""
     with streams.plain():
         arguments = _parser().parse_args(argv)
         try:
-            arguments.run(arguments)
+            code = arguments.run(arguments)
             sys.stdout.flush()
         except FlexJointError as error:
             return _say(error, UNUSABLE)
@@ -44,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _say("memory is short; give less at once, or cut the recording", UNUSABLE)
         except KeyboardInterrupt:
             return _say("interrupted", INTERRUPTED)
-    return 0
+    return int(code or 0)
 
 
 def _say(message: object, code: int) -> int:
@@ -71,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_import(commands)
 
     _add_diagnose(commands)
+    _add_check(commands)
     _add_check_data(commands)
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
@@ -150,6 +156,25 @@ def _add_diagnose(commands: Any) -> None:
     diagnose.set_defaults(run=_lazily("diagnose"))
 
 
+def _add_check(commands: Any) -> None:
+    check = commands.add_parser(
+        "check", help="whether a robot is as it was; exit code 1 where it has changed", description=CHECK
+    )
+    check.add_argument("recording", type=Path, metavar="REC", help="table, or another log")
+    check.add_argument(
+        "--against",
+        type=Path,
+        required=True,
+        metavar="D.json|E.yaml",
+        help="a diagnosis (`diagnose --json`) or an extended robot (`diagnose --model`)",
+    )
+    options.add_robot(check, required=False)
+    options.add_mapping(check)
+    check.add_argument("--json", type=Path, metavar="OUT.json", help="write the check as JSON")
+    check.add_argument("--quiet", action="store_true", help="print nothing")
+    check.set_defaults(run=_lazily("check"))
+
+
 def _add_check_data(commands: Any) -> None:
     data = commands.add_parser("check-data", help="find wrong signs, zeros, units and names in a recording")
     data.add_argument("recording", type=Path, metavar="REC", help="table, or another log")
@@ -220,11 +245,12 @@ def _add_plan(commands: Any) -> None:
     plan.set_defaults(run=_lazily("plan"))
 
 
-def _lazily(command: str) -> Callable[[argparse.Namespace], None]:
+def _lazily(command: str) -> Callable[[argparse.Namespace], int | None]:
     """A command's `run`, whose module, and all that it needs, is imported when it runs."""
 
-    def run(arguments: argparse.Namespace) -> None:
-        importlib.import_module(f"flexjoint.cli.{command}").run(arguments)
+    def run(arguments: argparse.Namespace) -> int | None:
+        code: int | None = importlib.import_module(f"flexjoint.cli.{command}").run(arguments)
+        return code
 
     return run
 

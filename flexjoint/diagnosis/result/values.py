@@ -257,6 +257,7 @@ def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
             for u in diagnosis.unexplained
         ],
         "remaining": [asdict(r) for r in diagnosis.remaining],
+        "level": {"before": diagnosis.energy[0], "after": diagnosis.energy[1]},
         "not_excited": [{"effect": effect, "joint": joint} for effect, joint in diagnosis.not_excited],
         "within_tolerance": [
             {"effect": w.effect, "joint": w.joint, "value": w.value} for w in diagnosis.within_tolerance

@@ -25,18 +25,20 @@ SEEN = 0.05  # s, over which a joint's speed is averaged
 PLACES = 50  # at which a stretch may begin
 
 
-def excerpts(robot: Robot, recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+def excerpts(
+    robot: Robot, recordings: Sequence[Recording], largest: int = LARGEST, work: str = "one search"
+) -> tuple[list[Recording], tuple[str, ...]]:
     """The recordings as they are examined, and notes about what was repaired, left out or cut. Together they
-    are no larger than a search can take.
+    are no larger (samples times joints) than the work can take.
 
     Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.channels`)."""
     recordings = [inspected(robot, without_pauses(recording)) for recording in recordings]
     repairs = tuple(f"{recording.name}: {note}" for recording in recordings for note in recording.notes)
     joints = len(robot.joints)
-    most = int(LARGEST / (joints * max(1.0, joints / MANY)) / len(recordings))
+    most = int(largest / (joints * max(1.0, joints / MANY)) / len(recordings))
     kept = [_excerpt(robot, recording, most) for recording in recordings]
     notes = tuple(
-        f"{old.name} is too large for one search ({old.time.size} samples of {joints} joints): only"
+        f"{old.name} is too large for {work} ({old.time.size} samples of {joints} joints): only"
         f" {new.time[0]:.4g} to {new.time[-1]:.4g} s were examined, at {1.0 / new.period:.4g} Hz; to examine"
         " another part, cut the file to it"
         for old, new in zip(recordings, kept, strict=True)
