@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.design.robustness import worst_case
     from flexjoint.design.tomei import tomei
     from flexjoint.design.verification import verify
+    from flexjoint.diagnosis.agreement.agreement import agreement
     from flexjoint.diagnosis.checking.check import check
     from flexjoint.diagnosis.checking.values import Check
     from flexjoint.diagnosis.comparison.compare import Comparison, compare
@@ -59,6 +60,7 @@ __all__ = [
     "Recording",
     "Robot",
     "Simulation",
+    "agreement",
     "catalogue",
     "check",
     "check_data",
@@ -100,6 +102,7 @@ _PLACES = {  # name: module and what it is called there
     "Recording": ("recording.table", "Recording"),
     "Robot": ("robot.robot", "Robot"),
     "Simulation": ("simulation.simulate", "Simulation"),
+    "agreement": ("diagnosis.agreement.agreement", "agreement"),
     "catalogue": ("effects", "catalogue"),
     "check": ("diagnosis.checking.check", "check"),
     "check_data": ("diagnosis.data.check", "check_data"),

@@ -12,10 +12,11 @@ from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import Asked, page
 from flexjoint.core.messages import escaped
 from flexjoint.diagnosis import pipeline
+from flexjoint.diagnosis.agreement.agreement import agreement
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import cause, listed, percent
 from flexjoint.recording.checks import check
-from flexjoint.recording.importing import read
+from flexjoint.recording.importing import logs_in, read
 from flexjoint.report.terminal import Progress, no_progress, summary
 from flexjoint.robot.payload import parse
 
@@ -27,10 +28,11 @@ def run(arguments: argparse.Namespace) -> None:
     asked.check([Path(arguments.robot), *arguments.recordings, *mapped])
     nominal = load_chosen(arguments)
     mapping = mapping_of(arguments)
-    recordings = [read(path, mapping, nominal).recording for path in arguments.recordings]
+    paths = [log for path in arguments.recordings for log in logs_in(path)]
+    recordings = [read(path, mapping, nominal).recording for path in paths]
     for table in recordings:
         check(nominal, table)
-    payloads = parse(arguments.payload, [str(path) for path in arguments.recordings])
+    payloads = parse(arguments.payload, [str(path) for path in paths])
     with Progress() as bar:
         shown = no_progress if arguments.quiet else bar
         diagnosis = pipeline.diagnose(
@@ -41,6 +43,8 @@ def run(arguments: argparse.Namespace) -> None:
             refine=not arguments.no_refine,
             check_data=not arguments.ignore_data_checks,
         )
+        shown(1.0, "comparing the recordings with each other")
+        diagnosis = agreement(nominal, recordings, diagnosis, payloads=payloads)
     html = None
     if asked.report is not None:  # its numbers are those of all causes that it names
         html = page(diagnosis, nominal, diagnosis.extend(nominal, least=0.0), recordings[0])

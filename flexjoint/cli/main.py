@@ -126,7 +126,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_diagnose(commands: Any) -> None:
     diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
-    diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="table, or another log")
+    diagnose.add_argument(
+        "recordings", nargs="+", type=Path, metavar="REC", help="table, another log, or a folder of them"
+    )
     options.add_robot(diagnose)
     options.add_mapping(diagnose)
     diagnose.add_argument(

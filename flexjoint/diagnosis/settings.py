@@ -862,6 +862,21 @@ class VerdictSettings(Stage):
 
 
 @dataclass(frozen=True)
+class AgreementSettings(Stage):
+    """Agreement: whether several recordings of one robot say the same."""
+
+    chance: float = number(
+        0.01,
+        "probability",
+        "that any number of recordings that agree counts as spread, all numbers together",
+        "theory: Benjamini and Hochberg 1995",
+    )
+    iterations: int = number(
+        8, "steps", "of a recording's own fit from the common numbers at most", "judgement"
+    )
+
+
+@dataclass(frozen=True)
 class CheckSettings(Stage):
     """Check: whether a machine is as it was, without a search."""
 
@@ -938,6 +953,7 @@ class Settings:
     robust_search: RobustSearchSettings = RobustSearchSettings()
     refinement: RefinementSettings = RefinementSettings()
     verdict: VerdictSettings = VerdictSettings()
+    agreement: AgreementSettings = AgreementSettings()
     check: CheckSettings = CheckSettings()
 
     def stages(self) -> Iterator[tuple[str, Stage]]:
