@@ -77,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_diagnose(commands)
     _add_check(commands)
+    _add_fleet(commands)
     _add_check_data(commands)
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
@@ -175,6 +176,21 @@ def _add_check(commands: Any) -> None:
     check.add_argument("--json", type=Path, metavar="OUT.json", help="write the check as JSON")
     check.add_argument("--quiet", action="store_true", help="print nothing")
     check.set_defaults(run=_lazily("check"))
+
+
+def _add_fleet(commands: Any) -> None:
+    fleet = commands.add_parser("fleet", help="watch many robots: who needs somebody, and for what")
+    fleet.add_argument(
+        "source", type=Path, metavar="FOLDER|LIST", help="one folder a robot, or a list (docs/fleets.md)"
+    )
+    fleet.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER", help="results; work is kept there"
+    )
+    fleet.add_argument("--robot", type=Path, metavar="R.yaml", help="robot file of all that name none")
+    fleet.add_argument("--workers", type=int, metavar="N", help="local processes, default one per core")
+    fleet.add_argument("--scheduler", metavar="tcp://...", help="of a Dask cluster that does the work")
+    fleet.add_argument("--quiet", action="store_true", help="print nothing")
+    fleet.set_defaults(run=_lazily("fleet"))
 
 
 def _add_check_data(commands: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -169,6 +169,27 @@ def by_recording(number: Repeated, alt: str) -> Image:
             )
         axes.set_xlim(0.5, values.size + 0.5)
         axes.set_xticks(place[:: -(-values.size // MOST_TICKS)])
+        return _image(figure, alt)
+
+
+def over_time(
+    days: np.ndarray,
+    values: np.ndarray,
+    stds: np.ndarray,
+    changes: Sequence[float],
+    events: Sequence[float],
+    unit: str,
+    alt: str,
+) -> Image:
+    """A number (N,) over days with two standard errors; changes are dashed, events dotted."""
+    with _styled():
+        figure, axes = _axes("days", f"[{unit}]" if unit not in ("", "1") else "")
+        errors = np.where(np.isfinite(stds), 2.0 * stds, 0.0)
+        axes.errorbar(days, values, errors, fmt="o", color=INK, markersize=3.5, capsize=2, linewidth=0.9)
+        for day in changes:
+            axes.axvline(day, color=BEFORE, linewidth=1.0, dashes=DASHES)
+        for day in events:
+            axes.axvline(day, color=AFTER, linewidth=1.0, linestyle=":")
         return _image(figure, alt)
 
 

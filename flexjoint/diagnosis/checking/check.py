@@ -7,8 +7,6 @@ what is left
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 
 from flexjoint.core.errors import RecordingError
@@ -20,8 +18,8 @@ from flexjoint.diagnosis.checking.values import Check, CheckedCause, CheckedJoin
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
-from flexjoint.diagnosis.result import Remaining, Result
-from flexjoint.diagnosis.result.known import Known, known_of
+from flexjoint.diagnosis.result import Remaining
+from flexjoint.diagnosis.result.known import Against, Known, known_of
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.recording.currents import with_torques
@@ -34,7 +32,7 @@ from flexjoint.robot.robot import Robot, expect
 def check(
     robot: Robot,
     recording: Recording,
-    against: Result | Robot | str | os.PathLike[str] | None = None,
+    against: Against | None = None,
     *,
     settings: Settings = USUAL,
 ) -> Check:

@@ -41,8 +41,11 @@ class Known:
         return bool(self.remaining)
 
 
-def known_of(robot: Robot, against: Result | Robot | str | os.PathLike[str] | None) -> Known:
-    """What `against` says of a nominal robot: a diagnosis, an extended robot, or the path of either.
+Against = Result | Robot | Mapping[str, Any] | str | os.PathLike[str]
+
+
+def known_of(robot: Robot, against: Against | None) -> Known:
+    """What `against` says of a nominal robot: a diagnosis, its JSON form, an extended robot, or a path.
 
     None: the robot is the extended one itself; what it lists that is not `nominal` are its causes.
 
@@ -55,6 +58,8 @@ def known_of(robot: Robot, against: Result | Robot | str | os.PathLike[str] | No
         return _of_diagnosis(to_json(against), robot, f"the diagnosis of {against.robot or robot.name}")
     if isinstance(against, Robot):
         return _of_robot(robot, against)
+    if isinstance(against, Mapping):
+        return _of_diagnosis(against, robot, "a diagnosis")
     if not isinstance(against, str | os.PathLike):
         raise FlexJointError(
             "check: expected a diagnosis, an extended robot or the path of one, got a"
