@@ -121,6 +121,13 @@ def _parser() -> argparse.ArgumentParser:
     effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
     effects.set_defaults(run=_lazily("effects"))
 
+    schema = commands.add_parser("schema", help="print the JSON schema of what a command writes")
+    schema.add_argument("name", nargs="?", metavar="NAME", help="without one, the names")
+    schema.set_defaults(run=_lazily("schema"))
+
+    serve = commands.add_parser("mcp", help="serve programs that call tools, over stdio (docs/programs.md)")
+    serve.set_defaults(run=_lazily("serve"))
+
     paper.add(commands)
     return parser
 

@@ -920,6 +920,12 @@ class CheckSettings(Stage):
         "that a smooth law of one signal may remove of what is left: noise hides less in it",
         "judgement",
     )
+    shape_noise: float = number(
+        0.25,
+        "noise deviations",
+        "that such a law must remove, too: chance removes some of any noise",
+        "study: planted levers; one of 33 unchanged ones alarmed without it",
+    )
     level: float = number(
         10.0,
         "times the whitened variance that was left",

@@ -8,6 +8,7 @@ alone asks for a second recording, and names nothing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -171,7 +172,8 @@ def _troubles(period: Period, changed: Sequence[Trend], repeated: bool, robot: R
         effect, joint, parameter = trend.key
         found = trend.change
         if parameter == words.main_parameter(effect) and found is not None:
-            out[effect, joint] = _moved(trend.key, found.was, found.now, found.since, robot)
+            since = min(found.since, _lasting(period, joint))
+            out[effect, joint] = _moved(trend.key, found.was, found.now, since, robot)
     first = next((reading for reading in period.alarms), None)
     since = first.entry.time if first is not None else 0.0
     for effect, joint in sorted(period.named, key=str) if repeated else ():
@@ -183,6 +185,16 @@ def _troubles(period: Period, changed: Sequence[Trend], repeated: bool, robot: R
     if not troubles and repeated:
         troubles = _unknown(period.readings[-1], since, robot)
     return tuple(troubles)
+
+
+def _lasting(period: Period, joint: str | None) -> float:
+    """The time of the first of the alarms of a joint that go on to the end; infinite without any."""
+    since = math.inf
+    for reading in reversed(period.readings):
+        if (joint or "") not in reading.changed:
+            break
+        since = reading.entry.time
+    return since
 
 
 def _moved(key: Key, was: float, now: float, since: float, robot: Robot) -> Trouble:

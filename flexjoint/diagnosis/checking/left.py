@@ -45,10 +45,11 @@ def without(best: Fit) -> Fit:
 
 
 def levels(best: Fit) -> dict[str, float]:
-    """By joint: the whitened variance that is left of its balances, in that of the sensors' noise."""
+    """By joint: the whitened variance that is left of its balances, in that of the sensors' noise, where
+    nominal numbers are plausible."""
     problem = best.problem
     own: dict[str, list[float]] = {}
-    for row, variance in zip(problem.balances.rows, problem.variances(best.y), strict=True):
+    for row, variance in zip(problem.balances.rows, problem.level.inflation, strict=True):
         own.setdefault(problem.robot.joint_names[row.joint], []).append(float(variance))
     return {joint: float(np.mean(variances)) for joint, variances in own.items()}
 
@@ -87,7 +88,7 @@ def _more(now: Remaining, was: Remaining, tolerance: float, settings: Settings) 
     size, shape = (max(usual, share * tolerance * now.torque) for share in (limits.size, limits.shape))
     if beyond_noise(now) > size and now.after > settings.verdict.above_noise * now.noise:
         return f"{now.after:.3g} are left of its torque of {now.torque:.3g}, at most {size:.3g} were expected"
-    if now.structured > shape:
+    if now.structured > max(shape, limits.shape_noise * now.noise):
         return f"what is left has a shape of {now.against} that was not there"
     return ""
 
