@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binom, false_discovery_control
 
+from flexjoint.diagnosis.result.wording import percent
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.fleet import words
 from flexjoint.fleet.campaign import Key, Period, Reading
@@ -25,6 +26,7 @@ from flexjoint.fleet.trends import Change, change
 from flexjoint.robot.robot import Robot
 
 State = Literal["needs", "again", "unusable", "green"]
+NEARLY = 0.9999  # what no finite number of recordings goes beyond
 BY_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
@@ -64,6 +66,11 @@ class Line:
     troubles: tuple[Trouble, ...]
     trends: tuple[Trend, ...]
     next: str = ""
+
+    @property
+    def sure(self) -> str:
+        """How sure it is that this is no chance; never certain."""
+        return percent(min(1.0 - self.chance, NEARLY))
 
     @property
     def weight(self) -> float:

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from flexjoint.core.text import Block, Table, plain
 from flexjoint.core.text import Line as TextLine
-from flexjoint.diagnosis.result.wording import clean, percent
+from flexjoint.diagnosis.result.wording import clean
 from flexjoint.fleet.assess import Line
 from flexjoint.fleet.campaign import Period, Reading
 from flexjoint.fleet.roster import Event
@@ -109,7 +109,7 @@ def _blocks(fleet: Fleet) -> Iterator[Block]:
                 clean(trouble.joint or "whole robot"),
                 clean(trouble.what),
                 trouble.sort,
-                percent(1.0 - line.chance),
+                line.sure,
                 day(trouble.since),
                 line.next,
             )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from flexjoint.diagnosis.result.wording import clean, percent
+from flexjoint.diagnosis.result.wording import clean
 from flexjoint.fleet import words
 from flexjoint.fleet.assess import Line, Trend
 from flexjoint.fleet.fleet import Fleet, day
@@ -102,7 +102,7 @@ def _row(line: Line) -> Row:
         clean(first.joint or "whole robot"),
         clean(first.what),
         tuple(f"{clean(t.joint or 'whole robot')}: {clean(t.what)}" for t in more),
-        percent(1.0 - line.chance),
+        line.sure,
         day(first.since),
         line.next,
     )
@@ -132,7 +132,7 @@ def _drawn(trend: Trend, start: float, events: Sequence[float]) -> Drawn:
         name,
     )
     caption = f"{name}; days since {day(start)}"
-    if trend.change is not None and trend.change.per_degree:
+    if trend.significant and trend.change is not None and trend.change.per_degree:
         caption += f"; {trend.change.per_degree:.2g} per deg C taken out of its change"
     if not np.all(np.isfinite(trend.temperature)):
         caption += "; temperature not recorded"

@@ -38,11 +38,11 @@ def recorded(seed: int) -> Recording:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording, and a diagnosis of two."""
+    """A recording, and its diagnosis beside another one."""
     path = tmp_path_factory.mktemp("programs")
     write_recording(recorded(5), path / "rec.parquet")
     both = [recorded(5), recorded(6)]
-    found = agreement(nominal("lever"), both, diagnose(nominal("lever"), both, workers=1))
+    found = agreement(nominal("lever"), both, diagnose(nominal("lever"), both[0], workers=1))
     assert [f.effect for f in found.findings] == ["torque_offset"]
     found.write(path / "diagnosis.json")
     return path

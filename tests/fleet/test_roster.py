@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from support.pages import DOCS, blocks
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.fleet.roster import LIST, read
@@ -70,3 +71,11 @@ def test_nothing_is_refused(tmp_path: Path) -> None:
         read(tmp_path / "none")
     with pytest.raises(FlexJointError, match="has no recording"):
         read(tmp_path)
+
+
+def test_the_list_of_the_page_is_one(tmp_path: Path) -> None:
+    (text,) = blocks(DOCS / "fleets.md", "csv")
+    (tmp_path / "list.csv").write_text(text)
+    roster = read(tmp_path / "list.csv")
+    assert [e.temperature for e in roster.entries] == [21.5, 24.0, 22.0]
+    assert [e.text for e in roster.events] == ["gear of the elbow replaced"]
