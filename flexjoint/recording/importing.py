@@ -97,7 +97,6 @@ def logs_in(source: str | os.PathLike[str]) -> tuple[Path, ...]:
 
     Raises RecordingError for a folder without any."""
     path = Path(source)
-    _check_there(path)
     if not path.is_dir() or rosbag.is_folder(path) or lerobot.folder_of(path) is not None:
         return (path,)
     found = tuple(sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in BY_SUFFIX))
