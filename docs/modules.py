@@ -12,6 +12,7 @@ PAGE = DOCS / "architecture.md"
 BEGIN, END = "<!-- packages: written by make docs -->\n", "<!-- end of packages -->\n"
 FLOORS = (
     ("cli",),
+    ("fleet",),
     ("report",),
     ("diagnosis", "design", "testing", "export"),
     ("simulation",),

@@ -23,6 +23,9 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.design.robustness import worst_case
     from flexjoint.design.tomei import tomei
     from flexjoint.design.verification import verify
+    from flexjoint.diagnosis.agreement.agreement import agreement
+    from flexjoint.diagnosis.checking.check import check
+    from flexjoint.diagnosis.checking.values import Check
     from flexjoint.diagnosis.comparison.compare import Comparison, compare
     from flexjoint.diagnosis.data.check import DataCheck, check_data
     from flexjoint.diagnosis.experiment import Plan, plan
@@ -45,6 +48,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.simulation.simulate import Simulation, simulate
 
 __all__ = [
+    "Check",
     "Comparison",
     "DataCheck",
     "Diagnosis",
@@ -58,7 +62,9 @@ __all__ = [
     "Recording",
     "Robot",
     "Simulation",
+    "agreement",
     "catalogue",
+    "check",
     "check_data",
     "compare",
     "diagnose",
@@ -86,6 +92,7 @@ __all__ = [
 ]
 
 _PLACES = {  # name: module and what it is called there
+    "Check": ("diagnosis.checking.values", "Check"),
     "Comparison": ("diagnosis.comparison.compare", "Comparison"),
     "DataCheck": ("diagnosis.data.check", "DataCheck"),
     "Diagnosis": ("diagnosis.result", "Diagnosis"),
@@ -99,7 +106,9 @@ _PLACES = {  # name: module and what it is called there
     "Recording": ("recording.table", "Recording"),
     "Robot": ("robot.robot", "Robot"),
     "Simulation": ("simulation.simulate", "Simulation"),
+    "agreement": ("diagnosis.agreement.agreement", "agreement"),
     "catalogue": ("effects", "catalogue"),
+    "check": ("diagnosis.checking.check", "check"),
     "check_data": ("diagnosis.data.check", "check_data"),
     "compare": ("diagnosis.comparison.compare", "compare"),
     "diagnose": ("diagnosis.pipeline", "diagnose"),

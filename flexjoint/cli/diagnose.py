@@ -15,11 +15,12 @@ from flexjoint.core.messages import escaped
 from flexjoint.core.progress import silent
 from flexjoint.core.worker_pool import workers_of
 from flexjoint.diagnosis import pipeline
+from flexjoint.diagnosis.agreement.agreement import agreement
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import cause, listed, percent
 from flexjoint.diagnosis.signals.excerpt import excerpts, expected_seconds, most_samples
 from flexjoint.recording.checks import check
-from flexjoint.recording.importing import read
+from flexjoint.recording.importing import logs_in, read
 from flexjoint.recording.table import Recording
 from flexjoint.report.progress import Progress
 from flexjoint.report.terminal import summary
@@ -35,11 +36,13 @@ def run(arguments: argparse.Namespace) -> None:
     asked.check([Path(arguments.robot), *arguments.recordings, *mapped])
     nominal = load_chosen(arguments)
     mapping = mapping_of(arguments)
-    recordings = [read(path, mapping, nominal).recording for path in arguments.recordings]
+    paths = [log for path in arguments.recordings for log in logs_in(path)]
+    recordings = [read(path, mapping, nominal).recording for path in paths]
     for k in range(len(recordings)):  # none is kept by a name: see HandedOver
         check(nominal, recordings[k])
-    payloads = parse(arguments.payload, [str(path) for path in arguments.recordings])
+    payloads = parse(arguments.payload, [str(path) for path in paths])
     shown_on_page = examined(nominal, recordings, budget.seconds) if asked.report is not None else None
+    several = list(recordings) if len(recordings) > 1 else []
     with Progress() as bar:
         if not arguments.quiet:
             bar.expect(min(budget.left, expected_seconds(nominal, recordings, workers_of(None))))
@@ -52,6 +55,10 @@ def run(arguments: argparse.Namespace) -> None:
             check_data=not arguments.ignore_data_checks,
             budget=budget,
         )
+        if several:
+            if not arguments.quiet:
+                bar(1.0, "comparing the recordings with each other")
+            diagnosis = agreement(nominal, several, diagnosis, payloads=payloads)
     html = None
     if shown_on_page is not None:  # its numbers are those of all causes that it names
         html = page(diagnosis, nominal, diagnosis.extend(nominal, least=0.0), shown_on_page)

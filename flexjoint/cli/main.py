@@ -1,7 +1,7 @@
 """The command line: `flexjoint init | import | check-data | diagnose | compare | simulate | view | ...`.
 
-Exit code 0 when the work was done (a diagnosis that refuses is done), 2 on unusable input with one line on
-standard error. What a command needs is imported when it runs.
+Exit code 0 when the work was done (a diagnosis that refuses is done), 1 where a check finds a change, 2 on
+unusable input with one line on standard error. What a command needs is imported when it runs.
 """
 
 from __future__ import annotations
@@ -20,15 +20,20 @@ from flexjoint.cli.paper import command as paper
 from flexjoint.core.errors import FlexJointError
 
 UNUSABLE = 2
+CHECK = (
+    "Refit the known causes to a new recording. Exit code 0: as before; 1: changed; 2: unusable."
+    " --robot is the nominal robot of the diagnosis; an extended robot may stand alone."
+)
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # what an output that takes no more says
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code (`--help` and wrong usage exit by themselves)."""
+    """Run one command; returns the exit code, 0 unless the command has another (`--help` and wrong usage exit
+    by themselves)."""
     with streams.plain():
         arguments = _parser().parse_args(argv)
         try:
-            arguments.run(arguments)
+            code = arguments.run(arguments)
             sys.stdout.flush()
         except FlexJointError as error:
             return _say(error, UNUSABLE)
@@ -45,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             streams.say_interrupted()
             return INTERRUPTED
-    return 0
+    return int(code or 0)
 
 
 def command() -> NoReturn:
@@ -81,6 +86,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_import(commands)
 
     _add_diagnose(commands)
+    _add_check(commands)
+    _add_fleet(commands)
     _add_check_data(commands)
 
     compare = commands.add_parser("compare", help="measure how far a robot's simulation is from a recording")
@@ -127,13 +134,22 @@ def _parser() -> argparse.ArgumentParser:
     effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
     effects.set_defaults(run=_lazily("effects"))
 
+    schema = commands.add_parser("schema", help="print the JSON schema of what a command writes")
+    schema.add_argument("name", nargs="?", metavar="NAME", help="without one, the names")
+    schema.set_defaults(run=_lazily("schema"))
+
+    serve = commands.add_parser("mcp", help="serve programs that call tools, over stdio (docs/programs.md)")
+    serve.set_defaults(run=_lazily("serve"))
+
     paper.add(commands)
     return parser
 
 
 def _add_diagnose(commands: Any) -> None:
     diagnose = commands.add_parser("diagnose", help="name what the simulation gets wrong on a recording")
-    diagnose.add_argument("recordings", nargs="+", type=Path, metavar="REC", help="table, or another log")
+    diagnose.add_argument(
+        "recordings", nargs="+", type=Path, metavar="REC", help="table, another log, or a folder of them"
+    )
     options.add_robot(diagnose)
     options.add_mapping(diagnose)
     diagnose.add_argument(
@@ -162,6 +178,40 @@ def _add_diagnose(commands: Any) -> None:
     )
     options.add_budget(diagnose)
     diagnose.set_defaults(run=_lazily("diagnose"))
+
+
+def _add_check(commands: Any) -> None:
+    check = commands.add_parser(
+        "check", help="whether a robot is as it was; exit code 1 where it has changed", description=CHECK
+    )
+    check.add_argument("recording", type=Path, metavar="REC", help="table, or another log")
+    check.add_argument(
+        "--against",
+        type=Path,
+        required=True,
+        metavar="D.json|E.yaml",
+        help="a diagnosis (`diagnose --json`) or an extended robot (`diagnose --model`)",
+    )
+    options.add_robot(check, required=False)
+    options.add_mapping(check)
+    check.add_argument("--json", type=Path, metavar="OUT.json", help="write the check as JSON")
+    check.add_argument("--quiet", action="store_true", help="print nothing")
+    check.set_defaults(run=_lazily("check"))
+
+
+def _add_fleet(commands: Any) -> None:
+    fleet = commands.add_parser("fleet", help="watch many robots: who needs somebody, and for what")
+    fleet.add_argument(
+        "source", type=Path, metavar="FOLDER|LIST", help="one folder a robot, or a list (docs/fleets.md)"
+    )
+    fleet.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER", help="results; work is kept there"
+    )
+    fleet.add_argument("--robot", type=Path, metavar="R.yaml", help="robot file of all that name none")
+    fleet.add_argument("--workers", type=int, metavar="N", help="local processes, default one per core")
+    fleet.add_argument("--scheduler", metavar="tcp://...", help="of a Dask cluster that does the work")
+    fleet.add_argument("--quiet", action="store_true", help="print nothing")
+    fleet.set_defaults(run=_lazily("fleet"))
 
 
 def _add_check_data(commands: Any) -> None:
@@ -257,11 +307,12 @@ def _add_export(commands: Any) -> None:
     export.set_defaults(run=_lazily("export"))
 
 
-def _lazily(command: str) -> Callable[[argparse.Namespace], None]:
+def _lazily(command: str) -> Callable[[argparse.Namespace], int | None]:
     """A command's `run`, whose module, and all that it needs, is imported when it runs."""
 
-    def run(arguments: argparse.Namespace) -> None:
-        importlib.import_module(f"flexjoint.cli.{command}").run(arguments)
+    def run(arguments: argparse.Namespace) -> int | None:
+        code: int | None = importlib.import_module(f"flexjoint.cli.{command}").run(arguments)
+        return code
 
     return run
 

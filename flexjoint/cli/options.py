@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 ENGINES = ("auto", "compiled", "pin")  # those of flexjoint.simulation.options, which takes long to import
 
 
-def add_robot(parser: argparse.ArgumentParser) -> None:
+def add_robot(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """The options that choose a robot."""
     parser.add_argument(
-        "--robot", required=True, metavar="R.yaml", help="robot file, or the name of a shipped robot"
+        "--robot", required=required, metavar="R.yaml", help="robot file, or the name of a shipped robot"
     )
     add_choice(parser)
 

@@ -14,7 +14,8 @@ import numpy as np
 from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.errors import RecordingError, unknown
 from flexjoint.core.worker_pool import one_thread, workers_of
-from flexjoint.diagnosis.balances.balances import Balances, TwinBalances, balances_of
+from flexjoint.diagnosis.balances.balances import TwinBalances, balances_of
+from flexjoint.diagnosis.balances.usable import refusal
 from flexjoint.diagnosis.data import check
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
@@ -89,10 +90,10 @@ def diagnose(
         return _with_wrong_data(robots[0], data)
     recordings, cut = excerpts(robots[0], recordings, budget.seconds)
     task.report(0.0, "preparing the balances")
-    refusal, balances = _balanced(robots[0], recordings[0], settings)
-    if refusal:
+    refused, balances = _balanced(robots[0], recordings[0], settings)
+    if refused:
         return Diagnosis(
-            "refused", refusal, notes=cut, robot=robots[0].name, prismatic=robots[0].prismatic, data=data
+            "refused", refused, notes=cut, robot=robots[0].name, prismatic=robots[0].prismatic, data=data
         )
     problem = Problem(balances)
     candidates = enumerate_candidates(problem, excluded)
@@ -159,7 +160,7 @@ def _with_wrong_data(robot: Robot, data: tuple[DataFinding, ...]) -> Diagnosis:
 def _balanced(robot: Robot, recording: Recording, settings: Settings) -> tuple[str, TwinBalances]:
     """The balances of a recording, and why they cannot carry a verdict; empty when they can."""
     balances = balances_of(robot, recording, settings)
-    return _refusal(balances), balances
+    return refusal(balances), balances
 
 
 def _searched(problem: Problem, candidates: Sequence[Candidate], task: _Task) -> Case:
@@ -178,9 +179,9 @@ def _combined(
         return first, {}, ()
     selections = [first.selection]
     for k, recording in enumerate(recordings[1:], start=1):
-        refusal, balances = _balanced(robots[k], recording, task.settings)
-        if refusal:
-            raise RecordingError(f"{recording.name} cannot be diagnosed together with the others: {refusal}")
+        refused, balances = _balanced(robots[k], recording, task.settings)
+        if refused:
+            raise RecordingError(f"{recording.name} cannot be diagnosed together with the others: {refused}")
         problem = Problem(balances)
         candidates = enumerate_candidates(problem, task.excluded)
         selections.append(_searched(problem, candidates, task.part(k, len(recordings))).selection)
@@ -348,28 +349,6 @@ def _undecided(selection: Selection) -> bool:
 def _part(report: Progress, begin: float, share: float) -> Progress:
     """Progress of a part of the work."""
     return lambda done, what: report(begin + share * done, what)
-
-
-def _refusal(balances: Balances) -> str:
-    """Why the data cannot carry a verdict; empty when they can."""
-    limits = balances.settings.balances
-    motion = balances.motion
-    used = motion.readings.valid
-    seconds = float(np.sum(used)) * motion.readings.period
-    if seconds < limits.shortest:
-        return (
-            f"only {seconds:.2g} s of usable data beside gaps and edges;"
-            f" record at least {limits.shortest:g} s"
-        )
-    if not balances.rows:
-        return (
-            "no torque balance can be closed: neither motor torques nor both encoders of a joint are recorded"
-        )
-    travel = np.ptp(motion.theta[:, used], axis=1)
-    noise = np.maximum(motion.readings.noise["theta"], motion.readings.noise["q"])
-    if np.all(travel < limits.still * np.maximum(noise, 1e-9)):
-        return "the robot hardly moves in this recording; record a motion that uses its speed and load"
-    return ""
 
 
 def _verdict(

@@ -865,6 +865,92 @@ class VerdictSettings(Stage):
 
 
 @dataclass(frozen=True)
+class AgreementSettings(Stage):
+    """Agreement: whether several recordings of one robot say the same."""
+
+    chance: float = number(
+        0.01,
+        "probability",
+        "that any number of recordings that agree counts as spread, all numbers together",
+        "theory: Benjamini and Hochberg 1995",
+    )
+    iterations: int = number(
+        8, "steps", "of a recording's own fit from the common numbers at most", "judgement"
+    )
+
+
+@dataclass(frozen=True)
+class CheckSettings(Stage):
+    """Check: whether a machine is as it was, without a search."""
+
+    chance: float = number(
+        0.01,
+        "probability",
+        "that any number of an unchanged machine counts as moved, all numbers of a check together",
+        "theory: Benjamini and Hochberg 1995",
+    )
+    least_move: float = number(
+        0.03,
+        "share of a number",
+        "by which it must move to matter: a simulation and the balances, or two motions, differ by less",
+        "judgement",
+    )
+    freedom: float = number(
+        8.0,
+        "degrees of freedom",
+        "that standard errors have at least: they are never below what the sensors' noise makes, however few"
+        " the blocks of time behind them",
+        "judgement",
+    )
+    unknown_error: float = number(
+        1.0,
+        "times the new standard error",
+        "of a number whose source states none: as if a recording like the new one had told it",
+        "judgement",
+    )
+    grown: float = number(
+        2.0,
+        "times what was left (RMS)",
+        "that may be left: recordings of one unchanged machine differ in what they show",
+        "judgement",
+    )
+    size: float = number(
+        1.0, "torque tolerances", "that may be left wherever less was", "theory: what a tolerance means"
+    )
+    shape: float = number(
+        0.3,
+        "torque tolerances",
+        "that a smooth law of one signal may remove of what is left: noise hides less in it",
+        "judgement",
+    )
+    shape_noise: float = number(
+        0.25,
+        "noise deviations",
+        "that such a law must remove, too: chance removes some of any noise",
+        "study: planted levers; one of 33 unchanged ones alarmed without it",
+    )
+    level: float = number(
+        10.0,
+        "times the whitened variance that was left",
+        "that a joint's balances may leave: noise alone gives one, and tolerances show in some motions only",
+        "study: planted levers, docs/checking.md",
+    )
+    iterations: int = number(3, "steps", "of a refit from the known values at most", "judgement")
+    same_level: float = number(
+        1.5, "noise inflation", "up to which a refit need not be repeated at what it leaves", "judgement"
+    )
+    samples_a_second: float = number(
+        1500.0,
+        "samples times joints a second",
+        "of the recording that are looked at: a check is to take a twentieth of its length",
+        "machine: KR300, 6 to 10 % on a busy core; study: planted levers and gimbals, 1 to 4 %",
+    )
+    samples: int = number(
+        200_000, "samples times joints", "that are looked at of any recording: half a gigabyte", "judgement"
+    )
+
+
+@dataclass(frozen=True)
 class Settings:
     """All numbers that decide in a diagnosis, stage by stage."""
 
@@ -876,6 +962,8 @@ class Settings:
     robust_search: RobustSearchSettings = RobustSearchSettings()
     refinement: RefinementSettings = RefinementSettings()
     verdict: VerdictSettings = VerdictSettings()
+    agreement: AgreementSettings = AgreementSettings()
+    check: CheckSettings = CheckSettings()
 
     def stages(self) -> Iterator[tuple[str, Stage]]:
         """Every stage with its name, in the order in which they run."""

@@ -92,6 +92,19 @@ def read(
     return import_log(path, mapping or EMPTY, robot)
 
 
+def logs_in(source: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """The logs of a path: of a folder that is no log itself all files in it that could be one, by name.
+
+    Raises RecordingError for a folder without any."""
+    path = Path(source)
+    if not path.is_dir() or rosbag.is_folder(path) or lerobot.folder_of(path) is not None:
+        return (path,)
+    found = tuple(sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in BY_SUFFIX))
+    if not found:
+        raise refusal(path, f"is a folder without a log ({', '.join(BY_SUFFIX)})", " ")
+    return found
+
+
 def _foreign(path: Path) -> bool:
     """Whether a CSV or Parquet file shows that it is another program's log."""
     if path.suffix == ".parquet":

@@ -6,6 +6,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from flexjoint.report.material import Material
 from flexjoint.report.sections import (
+    agreement,
     causes,
     compared,
     footer,
@@ -31,6 +32,7 @@ def html(material: Material) -> str:
         verdict=verdict.build(material),
         causes=causes.build(material),
         torques=torques.build(material),
+        agreement=agreement.build(material),
         compared=compared.build(material),
         residuals=residuals.build(material),
         ranking=ranking.build(material),

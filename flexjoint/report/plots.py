@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexjoint.diagnosis.result import Repeated
 from flexjoint.diagnosis.result.wording import unit_of
 from flexjoint.report import series
 
@@ -47,6 +48,7 @@ STYLE = {
 BUCKETS = 450
 POINTS = 1200
 DASHES = (4, 2)
+MOST_TICKS = 12
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,48 @@ def dependence(
             axes.fill_between(bins.x, bins.low, bins.high, color=colour, alpha=0.18, linewidth=0)
             axes.plot(bins.x, bins.median, color=colour, linewidth=1.6, dashes=dashes)
         _robust_limits(axes, [values for values, _, _ in shown], noise)
+        return _image(figure, alt)
+
+
+def by_recording(number: Repeated, alt: str) -> Image:
+    """A number by recording with two standard errors, odd ones marked, and the value of all as a band."""
+    with _styled():
+        figure, axes = _axes("recording", f"[{number.unit}]" if number.unit not in ("", "1") else "")
+        values, stds = np.array(number.values), np.array(number.stds)
+        known = np.isfinite(stds)
+        place = np.arange(1, values.size + 1)
+        low, high = (number.mean + side * 2.0 * number.std for side in (-1.0, 1.0))
+        axes.axhspan(low, high, color="#e4e7eb", linewidth=0)
+        axes.axhline(number.mean, color=AFTER, linewidth=1.0)
+        odd = np.isin(place - 1, number.odd)
+        for chosen, colour in ((known & ~odd, INK), (known & odd, BEFORE)):
+            error = 2.0 * stds[chosen]
+            axes.errorbar(
+                place[chosen], values[chosen], error, fmt="o", color=colour, markersize=4, capsize=2
+            )
+        axes.set_xlim(0.5, values.size + 0.5)
+        axes.set_xticks(place[:: -(-values.size // MOST_TICKS)])
+        return _image(figure, alt)
+
+
+def over_time(
+    days: np.ndarray,
+    values: np.ndarray,
+    stds: np.ndarray,
+    changes: Sequence[float],
+    events: Sequence[float],
+    unit: str,
+    alt: str,
+) -> Image:
+    """A number (N,) over days with two standard errors; changes are dashed, events dotted."""
+    with _styled():
+        figure, axes = _axes("days", f"[{unit}]" if unit not in ("", "1") else "")
+        errors = np.where(np.isfinite(stds), 2.0 * stds, 0.0)
+        axes.errorbar(days, values, errors, fmt="o", color=INK, markersize=3.5, capsize=2, linewidth=0.9)
+        for day in changes:
+            axes.axvline(day, color=BEFORE, linewidth=1.0, dashes=DASHES)
+        for day in events:
+            axes.axvline(day, color=AFTER, linewidth=1.0, linestyle=":")
         return _image(figure, alt)
 
 

@@ -234,3 +234,12 @@ def test_the_examples_of_a_page_run_one_after_the_other(
     for example in blocks(DOCS / page, "python"):
         exec(example, names)
     assert len(names) > 3
+
+
+# --- checking.md ------------------------------------------------------------------------------------------
+def test_the_example_of_the_page_on_checks_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    (example,) = blocks(DOCS / "checking.md", "python")
+    names: dict[str, Any] = {}
+    exec(example, names)
+    assert "joint_1" in capsys.readouterr().out
+    assert names["worst"].parameter == "delay" and not any(number.moved for number in names["delays"])

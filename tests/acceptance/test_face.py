@@ -239,7 +239,7 @@ def robot_and_recording() -> tuple[fj.Robot, fj.Recording]:
     return robot, fj.make_recording(t, {("q", name): np.sin(t) for name in robot.joint_names})
 
 
-@pytest.mark.parametrize("verb", ["diagnose", "compare", "plan", "view"])
+@pytest.mark.parametrize("verb", ["diagnose", "check", "compare", "plan", "view"])
 def test_what_is_no_robot_is_refused_with_what_to_call(verb: str) -> None:
     robot, recording = robot_and_recording()
     call = getattr(fj, verb)
@@ -255,7 +255,7 @@ def test_what_is_no_robot_is_refused_with_what_to_call(verb: str) -> None:
             call(wrong, robot if wrong is recording else recording)
 
 
-@pytest.mark.parametrize("verb", ["diagnose", "compare", "view"])
+@pytest.mark.parametrize("verb", ["diagnose", "check", "compare", "view"])
 def test_what_is_no_recording_is_refused_with_what_to_call(verb: str) -> None:
     robot, recording = robot_and_recording()
     call = getattr(fj, verb)
@@ -266,7 +266,7 @@ def test_what_is_no_recording_is_refused_with_what_to_call(verb: str) -> None:
     ):
         with pytest.raises(RecordingError, match=said):
             call(robot, wrong)
-    if verb != "compare":
+    if verb in ("diagnose", "view"):
         with pytest.raises(RecordingError, match="got a float"):
             call(robot, [recording, 1.0])
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
-from flexjoint.core.errors import FlexJointError, unknown
-from flexjoint.core.files import read_text
+from flexjoint.core.errors import FlexJointError
 from flexjoint.core.limits import DIAGNOSIS_FILE, RECORDING
 from flexjoint.diagnosis.experiment.evidence import Key, Sensors
 from flexjoint.diagnosis.result import Diagnosis, to_json
-from flexjoint.effects import Planned, catalogue
+from flexjoint.diagnosis.result.known import keys_of, parsed, planned_of
+from flexjoint.effects import Planned
 from flexjoint.recording.table import MEASURED
 from flexjoint.robot.robot import Robot
 
@@ -79,34 +78,7 @@ def read(path: Path, robot: Robot) -> Question:
 
     Raises FlexJointError: not such a file, or one of another robot or another version of the catalogue.
     """
-    try:
-        content = json.loads(read_text(path, DIAGNOSIS_FILE.file_bytes), parse_constant=_no_number)
-    except FlexJointError:
-        raise
-    except RecursionError:
-        raise FlexJointError(
-            f"{path} is nested too deeply; give what `flexjoint diagnose --json` wrote"
-        ) from None
-    except OSError as error:
-        raise FlexJointError(f"diagnosis {path} cannot be read: {error.strerror or error}") from None
-    except (UnicodeDecodeError, ValueError) as error:
-        raise FlexJointError(
-            f"{path} is no JSON: {error}; give what `flexjoint diagnose --json` wrote"
-        ) from None
-    if not isinstance(content, dict) or content.get("schema") != 1 or "findings" not in content:
-        raise FlexJointError(
-            f"{path} is no diagnosis of schema 1; give what `flexjoint diagnose --json` wrote"
-        )
-    try:
-        return _question(content, robot)
-    except FlexJointError as error:
-        raise FlexJointError(f"{path}: {error}") from None
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise FlexJointError(f"{path} is not as docs/formats.md has it ({error!r}); diagnose anew") from None
-
-
-def _no_number(word: str) -> NoReturn:
-    raise ValueError(f"{word} is no number of JSON")
+    return parsed(path, robot, _question)
 
 
 def _question(content: Mapping[str, Any], robot: Robot) -> Question:
@@ -114,46 +86,17 @@ def _question(content: Mapping[str, Any], robot: Robot) -> Question:
         return without_diagnosis(robot)
     if len(content["findings"]) > DIAGNOSIS_FILE.findings:
         raise FlexJointError(f"more than {DIAGNOSIS_FILE.findings} causes; diagnose anew")
-    findings = [(entry, _planned(robot, entry)) for entry in content["findings"]]
+    findings = [(entry, planned_of(robot, entry)) for entry in content["findings"]]
     ties = []
     for entry, truth in findings:
         beside = tuple(e for other, planned in findings if other is not entry for e in planned)
         taken = {e.key for e in beside}
         for tie in entry["indistinguishable"]:
-            rival = _keys(robot, tie["effect"], tie["joint"])
+            rival = keys_of(robot, tie["effect"], tie["joint"])
             if not taken & set(rival):
                 ties.append(Tie(truth, rival, beside))
     found = tuple(e for _, planned in findings for e in planned)
     return Question(tuple(ties), found, _sensors(content, robot))
-
-
-def _planned(robot: Robot, entry: Mapping[str, Any]) -> tuple[Planned, ...]:
-    """A finding as effects: on every joint where the finding is one of the robot."""
-    values: dict[str, Any] = {
-        name: given if isinstance(given, str) else given["value"]
-        for name, given in entry["parameters"].items()
-    }
-    out = []
-    for effect, joint in _keys(robot, entry["effect"], entry["joint"]):
-        listed = next((e for e in robot.effects if e.key == (effect, joint)), None)
-        total = dict(values)
-        if listed is not None:  # parameters give the change
-            numbers = [p.name for p in listed.effect.params if p.size == 1 and p.name in values]
-            total.update({name: values[name] + float(listed.values[name]) for name in numbers})
-        out.append(
-            Planned.of(effect, joint, {k: tuple(v) if isinstance(v, list) else v for k, v in total.items()})
-        )
-    return tuple(out)
-
-
-def _keys(robot: Robot, effect: str, joint: str | None) -> tuple[Key, ...]:
-    if effect not in catalogue():
-        raise unknown("effect", effect, catalogue())
-    if joint is not None and joint not in robot.joint_names:
-        raise unknown("joint", joint, robot.joint_names)
-    if joint is None and not catalogue()[effect].whole_robot:
-        return tuple((effect, name) for name in robot.joint_names)
-    return ((effect, joint),)
 
 
 def _sensors(content: Mapping[str, Any], robot: Robot) -> Sensors:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 
 from flexjoint.core.text import EMPTY, Block, Line, Style, Table
-from flexjoint.diagnosis.result import merit, sentences, torque
+from flexjoint.diagnosis.result import agreement, merit, sentences, torque
 from flexjoint.diagnosis.result.values import Finding, Result
 from flexjoint.diagnosis.result.wording import (
     NOTHING,
@@ -52,6 +52,8 @@ def _blocks(result: Result) -> Iterator[Block]:
             yield Line(f"{name} would be hidden by a refit of the nominal numbers.")
     yield from _torques(result, joints)
     yield from _errors(result)
+    if result.agreement is not None:
+        yield from agreement.blocks(result.agreement)
     yield from _open_ends(result)
 
 

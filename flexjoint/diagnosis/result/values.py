@@ -218,6 +218,60 @@ class DataFinding:
 
 
 @dataclass(frozen=True)
+class Repeated:
+    """A number of a cause over several recordings, each fitted by itself: values and standard errors in the
+    order of the recordings, in `unit`; a standard error is infinite where a recording does not show it.
+
+    `mean` and `std` are weighted by the errors. `chi_square` is the spread about the mean in them, of so many
+    degrees of `freedom`, `chance` how often chance spreads as far, and `odd` are the recordings that stand
+    out from the others."""
+
+    effect: str
+    joint: str | None
+    parameter: str
+    unit: str
+    values: tuple[float, ...]
+    stds: tuple[float, ...]
+    mean: float
+    std: float
+    chi_square: float
+    freedom: int
+    chance: float
+    disagree: bool  # beyond its errors, with as many chances counted as there are numbers
+    odd: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Which recordings show a cause, by themselves: `there` in those; `absent` in those that would show it if
+    it were there as in the others; the rest cannot tell."""
+
+    effect: str
+    joint: str | None
+    there: tuple[int, ...]
+    absent: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Simulation against a recording with the causes' numbers fitted to all others; None where it cannot be
+    simulated."""
+
+    recording: int
+    gain: Gain | None
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Several recordings of one robot beside each other; numbers in other values index `recordings`."""
+
+    recordings: tuple[str, ...]
+    numbers: tuple[Repeated, ...]
+    causes: tuple[Shown, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+@dataclass(frozen=True)
 class Result:
     """The values of a `Diagnosis`, which adds what one does with them."""
 
@@ -241,6 +295,7 @@ class Result:
     prismatic: frozenset[str] = frozenset()  # joints that slide: their numbers are in m and N
     rigid: bool = False  # whether no joint has a spring
     data: tuple[DataFinding, ...] = ()  # errors of the data, which come before any cause
+    agreement: Agreement | None = None  # of several recordings
 
 
 def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
@@ -257,24 +312,40 @@ def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
             for u in diagnosis.unexplained
         ],
         "remaining": [asdict(r) for r in diagnosis.remaining],
+        "level": {"before": diagnosis.energy[0], "after": diagnosis.energy[1]},
         "not_excited": [{"effect": effect, "joint": joint} for effect, joint in diagnosis.not_excited],
         "within_tolerance": [
             {"effect": w.effect, "joint": w.joint, "value": w.value} for w in diagnosis.within_tolerance
         ],
-        "comparison": None
-        if comparison is None
-        else {
-            "held_out": comparison.held_out,
-            "horizon": comparison.horizon,
-            "before": comparison.before,
-            "after": comparison.after,
-            "noise_floor": comparison.noise_floor,
-        },
+        "comparison": None if comparison is None else _gain(comparison),
+        "recordings": None if diagnosis.agreement is None else _agreement(diagnosis.agreement),
         "next_experiment": diagnosis.next_experiment,
         "model": model,
         "notes": list(diagnosis.notes),
         "estimation": None if diagnosis.estimation is None else _estimation(diagnosis.estimation),
         "trace": [_step(step) for step in diagnosis.trace],
+    }
+
+
+def _gain(gain: Gain) -> dict[str, Any]:
+    return {
+        "held_out": gain.held_out,
+        "horizon": gain.horizon,
+        "before": gain.before,
+        "after": gain.after,
+        "noise_floor": gain.noise_floor,
+    }
+
+
+def _agreement(agreement: Agreement) -> dict[str, Any]:
+    return {
+        "names": list(agreement.recordings),
+        "numbers": [asdict(number) for number in agreement.numbers],
+        "causes": [asdict(shown) for shown in agreement.causes],
+        "left_out": [
+            {"recording": one.recording, "comparison": None if one.gain is None else _gain(one.gain)}
+            for one in agreement.left_out
+        ],
     }
 
 

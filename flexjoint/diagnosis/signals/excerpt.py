@@ -34,25 +34,30 @@ def expected_seconds(robot: Robot, recordings: Sequence[Recording], workers: int
     return SECONDS * min(size, most_samples(robot)) / workers
 
 
-def most_samples(robot: Robot, seconds: float = math.inf) -> int:
+def most_samples(robot: Robot, seconds: float = math.inf, largest: int = LARGEST) -> int:
     """Samples times joints that a search can take, in a time [s] on one processor."""
     joints = len(robot.joints)
-    return int(min(LARGEST / max(1.0, joints / MANY), max(LEAST, seconds / SECONDS)))
+    return int(min(largest / max(1.0, joints / MANY), max(LEAST, seconds / SECONDS)))
 
 
 def excerpts(
-    robot: Robot, recordings: Sequence[Recording], seconds: float = math.inf
+    robot: Robot,
+    recordings: Sequence[Recording],
+    seconds: float = math.inf,
+    largest: int = LARGEST,
+    work: str = "one search",
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """The recordings as they are examined, and notes about what was repaired, left out or cut. Together they
-    are no larger than a search can take, and than one takes in the `seconds` that are allowed for it.
+    are no larger than the work can take (`largest` samples times joints), and than a search takes in the
+    `seconds` that are allowed for it.
 
     Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.channels`)."""
     recordings = [inspected(robot, without_pauses(recording)) for recording in recordings]
     repairs = tuple(f"{recording.name}: {note}" for recording in recordings for note in recording.notes)
     joints = len(robot.joints)
-    most = most_samples(robot, seconds) // joints // len(recordings)
+    most = most_samples(robot, seconds, largest) // joints // len(recordings)
     kept = [_excerpt(robot, recording, most) for recording in recordings]
-    search = "one search" if math.isinf(seconds) else f"a search in {seconds:g} s"
+    search = work if math.isinf(seconds) else f"a search in {seconds:g} s"
     notes = tuple(
         f"{old.name} is too large for {search} ({old.time.size} samples of {joints} joints): only"
         f" {new.time[0]:.4g} to {new.time[-1]:.4g} s were examined, at {1.0 / new.period:.4g} Hz; to examine"

@@ -1,0 +1,143 @@
+"""What programs rely on: every JSON output keeps to its schema, and a real client calls the tools over
+stdio."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from planting import Planted, plant
+from support.cli_runs import complaint, run
+from support.diagnose_cases import ROBOTS, SENSORS, as_recording, nominal
+
+from flexjoint.diagnosis.agreement.agreement import agreement
+from flexjoint.diagnosis.checking.check import check
+from flexjoint.diagnosis.comparison.compare import compare
+from flexjoint.diagnosis.data.check import check_data
+from flexjoint.diagnosis.pipeline import diagnose
+from flexjoint.diagnosis.result import Diagnosis
+from flexjoint.diagnosis.result.schema import names, schema
+from flexjoint.fleet.units import Store, perform, unit_of
+from flexjoint.recording.table import Recording
+from flexjoint.recording.table import write as write_recording
+
+LEVER = ROBOTS / "lever.yaml"
+Written = dict[str, dict[str, Any]]
+
+
+def recorded(seed: int) -> Recording:
+    offset = Planted("torque_offset", "swing", {"offset": 1.0})
+    return as_recording(plant(LEVER, [offset], "rich", 6.0, seed, SENSORS["full"]), f"lever-{seed}")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording, and its diagnosis beside another one."""
+    path = tmp_path_factory.mktemp("programs")
+    write_recording(recorded(5), path / "rec.parquet")
+    both = [recorded(5), recorded(6)]
+    found = agreement(nominal("lever"), both, diagnose(nominal("lever"), both[0], workers=1))
+    assert [f.effect for f in found.findings] == ["torque_offset"]
+    found.write(path / "diagnosis.json")
+    return path
+
+
+@pytest.fixture(scope="module")
+def written(folder: Path) -> Written:
+    """Each output as its command writes it."""
+    robot, one = nominal("lever"), recorded(5)
+    turned = {k: -v if k == ("tau_m", "swing") else v for k, v in one.columns.items()}
+    check(robot, one, folder / "diagnosis.json").write(folder / "check.json")
+    compare(robot, one).write(folder / "comparison.json")
+    wrong = check_data(robot, replace(one, columns=turned))
+    assert wrong.findings
+    wrong.write(folder / "data.json")
+    known = json.loads((folder / "diagnosis.json").read_text())
+    unit = unit_of("check", folder / "rec.parquet", LEVER, known)
+    Store(folder / "units").put(perform(unit))
+    (folder / "unit.json").write_bytes((folder / "units" / f"{unit.key}.json").read_bytes())
+    return {name: json.loads((folder / f"{name}.json").read_text()) for name in names()}
+
+
+def undescribed(value: Any, described: dict[str, Any], where: str = "") -> list[str]:
+    """Keys of an output that its schema does not name."""
+    kinds = [described, *described.get("anyOf", [])]
+    out: list[str] = []
+    if isinstance(value, dict):
+        known: dict[str, Any] = {key: s for kind in kinds for key, s in kind.get("properties", {}).items()}
+        free = [kind for kind in kinds if "additionalProperties" in kind]
+        anything = any(kind.get("type") == "object" and "properties" not in kind for kind in kinds)
+        for key, inner in value.items():
+            if key in known:
+                out += undescribed(inner, known[key], f"{where}.{key}")
+            elif not free and not anything:
+                out.append(f"{where}.{key}")
+    if isinstance(value, list):
+        items = next((kind["items"] for kind in kinds if "items" in kind), {})
+        out += [key for inner in value for key in undescribed(inner, items, where)]
+    return out
+
+
+@pytest.mark.parametrize("name", names())
+def test_what_is_written_keeps_to_its_schema(name: str, written: Written) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema.Draft202012Validator.check_schema(schema(name))
+    jsonschema.validate(written[name], schema(name), cls=jsonschema.Draft202012Validator)
+    assert undescribed(written[name], schema(name)) == []
+    first = next(iter(schema(name)["required"]))
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({k: v for k, v in written[name].items() if k != first}, schema(name))
+
+
+def test_a_refusal_keeps_to_the_schema_too(tmp_path: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    Diagnosis("refused", "the robot hardly moves").write(tmp_path / "d.json")
+    jsonschema.validate(json.loads((tmp_path / "d.json").read_text()), schema("diagnosis"))
+
+
+def test_the_command_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("schema") == 0
+    assert capsys.readouterr().out.split() == list(names())
+    assert run("schema", "check") == 0
+    assert json.loads(capsys.readouterr().out) == schema("check")
+    assert "valid: check, comparison" in complaint(capsys, "schema", "chek")
+
+
+# ------------------------------------------------------------------ Model Context Protocol
+def test_a_client_calls_the_tools_over_stdio(folder: Path) -> None:
+    pytest.importorskip("mcp")
+    asyncio.run(asyncio.wait_for(_calls(folder), 100.0))
+
+
+async def _calls(folder: Path) -> None:
+    from mcp import Client, StdioServerParameters
+
+    command = StdioServerParameters(
+        command=sys.executable, args=["-m", "flexjoint", "mcp"], env={"PYTHONPATH": ":".join(sys.path)}
+    )
+    diagnosis, recording = str(folder / "diagnosis.json"), str(folder / "rec.parquet")
+    async with Client(command) as client:
+        tools = await client.list_tools()
+        assert {tool.name for tool in tools.tools} == {"diagnose", "check", "compare", "plan", "explain"}
+
+        async def call(tool: str, **arguments: Any) -> dict[str, Any]:
+            answer = await client.call_tool(tool, arguments)
+            assert not answer.is_error, answer.content
+            return json.loads(answer.content[0].text)  # type: ignore[union-attr]
+
+        told = await call("explain", diagnosis=diagnosis, robot=str(LEVER))
+        assert told["cause"] == "torque offset at swing" and told["law"] and told["evidence"]["steps"]
+        offset = told["parameters"]["offset"]
+        assert abs(offset["value"] - 1.0) < 3.0 * offset["std"] + 1e-3  # and what the filter does
+        checked = await call("check", recording=recording, against=diagnosis, robot=str(LEVER))
+        assert checked["verdict"] == "as_before"
+        compared = await call("compare", recording=recording, robot=str(LEVER))
+        assert compared["windows"] == 12 and np.isfinite(compared["rms"]["q.swing"])
+        wrong = await client.call_tool("compare", {"recording": "none.csv", "robot": str(LEVER)})
+        assert wrong.is_error and "none.csv" in wrong.content[0].text  # type: ignore[union-attr]
