@@ -12,6 +12,7 @@ from flexjoint.recording.table import Recording
 FEWEST = 5  # samples that have a median
 TWO_LEVELS = 5.0  # uniform samples have 3.5, a sine's 4.1
 FEW_VALUES = 8  # up to so many values of a signal each have a bin of their own
+FEW_BINS = 3  # with two values, below which that is chance
 RARE = 0.1  # share of samples below which a level is a few outliers
 
 
@@ -73,14 +74,24 @@ def binned(x: np.ndarray, y: np.ndarray, bins: int = 24) -> Binned:
 
 
 def levels(x: np.ndarray, y: np.ndarray, bins: int = 24) -> tuple[Binned, ...]:
-    """The bins of y (N,) over x (N,): two rows of them, each with its own medians, where y jumps between two
-    values, as the median of both would jump with it. A level is left out of a bin that it hardly visits."""
+    """The bins of y (N,) over x (N,), or two rows of them, each with its own medians.
+
+    Two where y has two values at one x, as forth and back: one median would jump between them. Where y jumps
+    between the same two values everywhere, a row leaves out the bins that hardly visit its own; else the rows
+    meet where y has one value.
+    """
     keep = np.isfinite(x) & np.isfinite(y)
     x, y = x[keep], y[keep]
     split = between_levels(y)
-    if split is None:
+    if split is not None:
+        return tuple(_binned(x, y, bins, part) for part in (y <= split, y > split))
+    index = _bin_index(x, bins) if x.size else np.zeros(0, int)
+    count = int(index.max(initial=-1)) + 1
+    splits = np.array([_or_nan(between_levels(y[index == i])) for i in range(count)])
+    if np.count_nonzero(np.isfinite(splits)) < FEW_BINS:
         return (binned(x, y, bins),)
-    return tuple(_binned(x, y, bins, part) for part in (y <= split, y > split))
+    at = splits[index]  # a comparison with NaN is false, so that both rows have what is not split
+    return tuple(_binned(x, y, bins, part) for part in (~(y > at), ~(y <= at)))
 
 
 def between_levels(y: np.ndarray) -> float | None:
@@ -137,6 +148,10 @@ def _binned(x: np.ndarray, y: np.ndarray, bins: int, part: np.ndarray) -> Binned
     table = np.array(rows).reshape(-1, 4)
     at, low, median, high = table.T
     return Binned(at, low, median, high, np.unique(x).size <= FEW_VALUES)
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else value
 
 
 def _bin_index(x: np.ndarray, bins: int) -> np.ndarray:

@@ -148,6 +148,20 @@ def test_a_residual_of_two_values_has_a_row_of_medians_for_each():
     assert low.x.size == 24
 
 
+def test_forth_and_back_have_a_row_of_medians_each():
+    """An ellipse, as damping draws it over position: one median would jump from its top to its bottom."""
+    rng = np.random.default_rng(9)
+    phase = rng.uniform(0.0, 2 * np.pi, 6000)
+    x, y = np.sin(phase), np.cos(phase) + 0.02 * rng.standard_normal(phase.size)
+    low, high = series.levels(x, y)
+    middle = np.abs(high.x) < 0.9
+    # within a bin the ellipse falls by some 0.1 at 0.9; its median lies near the middle
+    np.testing.assert_allclose(high.median[middle], np.sqrt(1 - high.x[middle] ** 2), atol=0.04)
+    np.testing.assert_allclose(low.median[middle], -np.sqrt(1 - low.x[middle] ** 2), atol=0.04)
+    # at its ends, where forth meets back, both rows hold the same
+    assert abs(high.median[-1] - low.median[-1]) < 0.6
+
+
 def test_a_level_that_a_bin_does_not_visit_has_no_median_there():
     rng = np.random.default_rng(6)
     x = rng.uniform(-1.0, 1.0, 4000)
