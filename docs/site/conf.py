@@ -1,8 +1,14 @@
 """Sphinx's settings for the site; build.py lays its sources together: `make site`."""
 
+from typing import Any
+
+from docutils import nodes
+from latex2mathml.converter import convert
+
 project = "flexjoint"
 author = copyright = "The flexjoint developers"  # Sphinx's name for it
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "flexjoint"
 html_static_path = ["_static"]
@@ -23,3 +29,18 @@ suppress_warnings = [
     "misc.highlighting_failure",  # shells' and tables' blocks are highlighted where that is possible
 ]
 exclude_patterns = ["_extra"]
+
+
+# --- formulas: MathML, which browsers draw by themselves, so that a page needs nothing from elsewhere ------
+def _inline(translator: Any, node: nodes.math) -> None:
+    translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def _display(translator: Any, node: nodes.math_block) -> None:
+    translator.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app: Any) -> None:
+    app.add_html_math_renderer("mathml", (_inline, None), (_display, None))

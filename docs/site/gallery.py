@@ -69,7 +69,9 @@ def _card(effect: Effect, folder: Path) -> str:
         f"![{effect.name}: residual and simulation](gallery_pictures/{_picture(effect, planted, folder)})"
     )
     units = {p.name: p.unit for p in effect.params}
-    size = ", ".join(f"{k} {_number(v)} {units.get(k, '')}".strip() for k, v in planted.items())
+    size = ", ".join(
+        f"{k} {_number(v)} {units.get(k, '').replace('1', '')}".strip() for k, v in planted.items()
+    )
     lines.append(f"Here: {size}. Reference: {effect.reference or 'none'}.")
     lines.append(" ".join([*_alike(effect), *_study(effect.name)]))
     return "\n\n".join(line for line in lines if line)
