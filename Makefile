@@ -18,7 +18,7 @@ help:
 	@echo "make lint   style, types and who imports whom"
 	@echo "make docs   regenerate docs/effects.md, docs/settings.md, docs/limits.md and the table in docs/architecture.md"
 	@echo "make site   the documentation as a site in build/site/html, with the demo's report; some minutes the first time"
-	@echo "make pictures   draw the pictures of effect_of_stiffness and centauro (notebooks) anew; needs Chromium"
+	@echo "make pictures   run all notebooks and draw their stored pictures anew; needs Chromium"
 	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
 	@echo "make clean  remove .venv and everything that was built"
 
@@ -71,7 +71,7 @@ flexjoint-demo/report.html: | .venv/.demo
 
 pictures: .venv/.test
 	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \
-	$(BIN)/python -m pytest tests/acceptance/test_notebooks.py -k "runs_and_draws and (effect_of_stiffness or centauro)"
+	$(BIN)/python -m pytest tests/acceptance/test_notebooks.py -k runs_and_draws
 
 bench: .venv/.bench
 	$(BIN)/python -m bench

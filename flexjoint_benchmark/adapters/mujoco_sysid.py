@@ -7,6 +7,8 @@ position or a torque is not recorded gets no names.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import logging
 from pathlib import Path
 from typing import Any
@@ -37,7 +39,8 @@ def find(machine: Machine, folder: Path) -> list[dict[str, Any]]:
     sequences = _sequences(machine, spec, model)
     parameters = _parameters(machine)
     residual = sysid.build_residual_fn(models_sequences=[sequences])
-    fitted, result = sysid.optimize(parameters, residual, max_iters=ITERATIONS, verbose=False)
+    with contextlib.redirect_stdout(io.StringIO()):  # its progress
+        fitted, result = sysid.optimize(parameters, residual, max_iters=ITERATIONS, verbose=False)
     residuals = residual(result.x, fitted)[0]
     covariance, _ = sysid.calculate_intervals(residuals, result.jac)
     errors = np.sqrt(np.abs(np.diag(covariance)))
