@@ -59,9 +59,14 @@ window.flexjoint = (() => {
     const first = Math.ceil(low / step - 1e-9);
     return Array.from({ length: Math.floor(high / step + 1e-9) - first + 1 }, (_, k) => (first + k) * step);
   };
+  // a number with the digits that tell it from its neighbour, `span` being what the axis shows
   const said = (value, span) => {
     const size = Math.max(Math.abs(value), span);
-    if (size >= 1e5 || size < 1e-3) return value === 0 ? "0" : value.toExponential(Math.max(0, Math.min(6, Math.ceil(Math.log10(Math.abs(value) / span)) + 2))).replace(/\.?0+e/, "e");
+    if (Math.abs(value) < 1e-6 * span) return "0";
+    if (size >= 1e5 || size < 1e-3) {
+      const digits = Math.ceil(Math.log10(Math.abs(value) / span)) + 2;
+      return value.toExponential(Math.max(0, Math.min(6, digits))).replace(/\.?0+e/, "e");
+    }
     return String(Number(value.toFixed(Math.max(0, Math.min(9, 2 - Math.floor(Math.log10(span)))))));
   };
 
