@@ -36,7 +36,7 @@ TREES = {  # pages of a section, in order; a page of docs/ that is in none goes 
     "Start": ("docs/start", "docs/demo", "docs/rigid_robots", "docs/comparison"),
     "How to": (
         "docs/importing", "docs/planning_experiments", "docs/gain_design", "docs/viewing",
-        "docs/adding_an_effect", "docs/testing", "docs/theta_d", "docs/contact", "docs/whole_body",
+        "docs/adding_an_effect", "docs/testing", "docs/ci", "docs/theta_d", "docs/contact", "docs/whole_body",
     ),
     "Notebooks": ("notebooks/*",),
     "Reference": (
