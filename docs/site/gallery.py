@@ -35,6 +35,13 @@ BALANCES = {
     "spring": "spring: tau_t - K phi - D dphi",
     "link": "link: tau_t - inverse dynamics",
 }
+TOLD_APART = (  # docs/diagnosis.md, "Ties": what looks alike in a poor recording, and what parts it
+    ("torque_gain", "motor_coulomb_friction", "a rich motion with tau_t"),
+    ("motor_coulomb_friction", "link_coulomb_friction", "tau_t or both encoders"),
+    ("motor_viscous_friction", "link_viscous_friction", "tau_t or both encoders"),
+    ("torque_gain", "torque_sensor_gain", "a second recording with a known payload"),
+    ("sensor_delay", "link_viscous_friction", "q and tau_t"),
+)
 HEAD = """\
 # Gallery of effects
 
@@ -87,6 +94,10 @@ def _alike(effect: Effect) -> list[str]:
     out = []
     if same:
         out.append(f"The same to any experiment as {_listed(same)} ([ties](docs/diagnosis.md#ties)).")
+    for pair in TOLD_APART:
+        if effect.name in pair[:2]:
+            (other,) = {*pair[:2]} - {effect.name}
+            out.append(f"Told from `{other}` by {pair[2]}.")
     if effect.contains:
         out.append(
             f"It contains {_listed(effect.contains)}, which is left where a motion does not excite the rest."

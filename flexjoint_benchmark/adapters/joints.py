@@ -20,7 +20,7 @@ from flexjoint_benchmark.folder import cases
 from flexjoint_benchmark.planting.robots import Robot, read_robot
 from flexjoint_benchmark.planting.simulate import nominal_dynamics
 
-CUTOFF = 20.0  # Hz, of the low-pass that all signals go through
+CUTOFF = 20.0  # Hz, of the low-pass that all signals go through, unless an adapter asks for another
 EDGE = 0.5  # s at both ends, where the filter has not settled
 
 Array = np.ndarray
@@ -62,7 +62,7 @@ class Machine:
         return max(1, round(self.rate / (2 * CUTOFF)))
 
 
-def read(folder: Path, entry: dict[str, Any]) -> Machine:
+def read(folder: Path, entry: dict[str, Any], cutoff: float = CUTOFF) -> Machine:
     """A case's joints; those without a motor torque or a position are left out."""
     path = folder / entry["robot"]
     data = yaml.safe_load(path.read_text())
@@ -73,7 +73,7 @@ def read(folder: Path, entry: dict[str, Any]) -> Machine:
     }
     period = float(np.median(np.diff(told["time"])))
     clock = np.arange(told["time"][0], told["time"][-1], period)
-    low = butter(4, min(0.9, 2 * CUTOFF * period))
+    low = butter(4, min(0.9, 2 * cutoff * period))
 
     def smooth(channel: str, joint: str) -> Array | None:
         values = told.get(f"{channel}.{joint}")
@@ -143,7 +143,9 @@ def finding(effect: str, joint: str, value: float, std: float, name: str) -> dic
     return {"effect": effect, "joint": joint, "probability": 1.0, "parameters": parameters}
 
 
-def answered(tool: str, find: Callable[[Machine, Path], list[dict[str, Any]]]) -> None:
+def answered(
+    tool: str, find: Callable[[Machine, Path], list[dict[str, Any]]], cutoff: float = CUTOFF
+) -> None:
     """Read a folder, find, and write answers, by the command line; `find` gets a case and its folder."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
@@ -156,6 +158,6 @@ def answered(tool: str, find: Callable[[Machine, Path], list[dict[str, Any]]]) -
         if name in answers or "_" in name:  # real machines: their files say what this reader does not know
             continue
         started = time.perf_counter()
-        found = find(read(given.folder, entry), (given.folder / entry["robot"]).parent)
+        found = find(read(given.folder, entry, cutoff), (given.folder / entry["robot"]).parent)
         answers[name] = {"findings": found, "seconds": round(time.perf_counter() - started, 2)}
         given.answers.write_text(json.dumps({"schema": SCHEMA, "tool": tool, "answers": answers}, indent=1))
