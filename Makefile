@@ -7,7 +7,7 @@ OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-all fuzz study lint docs bench pictures clean
+.PHONY: help demo test test-all fuzz study lint docs site bench pictures clean
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
@@ -17,7 +17,8 @@ help:
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style, types and who imports whom"
 	@echo "make docs   regenerate docs/effects.md, docs/settings.md, docs/limits.md and the tables in docs/architecture.md, docs/exporting.md"
-	@echo "make pictures   draw the pictures of effect_of_stiffness and centauro (notebooks) anew; needs Chromium"
+	@echo "make site   the documentation as a site in build/site/html, with the demo's report; some minutes the first time"
+	@echo "make pictures   run all notebooks and draw their stored pictures anew; needs Chromium"
 	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
 	@echo "make clean  remove .venv and everything that was built"
 
@@ -61,9 +62,17 @@ docs: .venv/.demo
 	$(BIN)/python docs/modules.py
 	$(BIN)/python docs/export_table.py
 
+# the demo's report is made once; the gallery's pictures, again where an effect has changed
+site: .venv/.docs flexjoint-demo/report.html
+	$(BIN)/python docs/site/build.py build/site --report flexjoint-demo/report.html
+	@echo "open build/site/html/index.html"
+
+flexjoint-demo/report.html: | .venv/.demo
+	$(BIN)/flexjoint demo
+
 pictures: .venv/.test
 	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \
-	$(BIN)/python -m pytest tests/acceptance/test_notebooks.py -k "runs_and_draws and (effect_of_stiffness or centauro)"
+	$(BIN)/python -m pytest tests/acceptance/test_notebooks.py -k runs_and_draws
 
 bench: .venv/.bench
 	$(BIN)/python -m bench
@@ -78,6 +87,10 @@ bench: .venv/.bench
 	@echo "installing into .venv, once; this may take some minutes"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
 	touch $@ .venv/.demo
+
+.venv/.docs: pyproject.toml .venv/.test | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
 
 .venv/.bench: pyproject.toml .venv/.test | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'

@@ -142,6 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     serve.set_defaults(run=_lazily("serve"))
 
     paper.add(commands)
+    _add_benchmark(commands)
     return parser
 
 
@@ -307,11 +308,33 @@ def _add_export(commands: Any) -> None:
     export.set_defaults(run=_lazily("export"))
 
 
-def _lazily(command: str) -> Callable[[argparse.Namespace], int | None]:
+def _add_benchmark(commands: Any) -> None:
+    benchmark = commands.add_parser("benchmark", help="recordings with known defects, for any tool")
+    verbs = benchmark.add_subparsers(required=True, metavar="VERB")
+    making = verbs.add_parser("make", help="write recordings, nominal models and the sealed truth")
+    making.add_argument("out", type=Path, metavar="OUT", help="a new folder")
+    making.add_argument("--count", type=int, default=10, help="cases of each part, default 10")
+    making.add_argument("--seed", type=int, default=1, help="draws the machines, default 1")
+    making.add_argument("--parts", nargs="+", metavar="PART", help="default: all (docs/benchmark.md)")
+    making.add_argument("--no-real", action="store_true", help="leave recordings of real machines out")
+    making.set_defaults(run=_lazily("benchmark", "make_folder"))
+    answering = verbs.add_parser("answer", help="flexjoint's own answers")
+    answering.add_argument("folder", type=Path, metavar="OUT", help="what `make` wrote")
+    answering.add_argument("answers", type=Path, metavar="ANSWERS.json", help="to write, or to go on with")
+    answering.set_defaults(run=_lazily("benchmark", "answer"))
+    scoring = verbs.add_parser("score", help="what a tool's answers are worth")
+    scoring.add_argument("folder", type=Path, metavar="OUT", help="what `make` wrote")
+    scoring.add_argument("answers", type=Path, metavar="ANSWERS.json", help="of any tool (docs/benchmark.md)")
+    scoring.add_argument("--json", type=Path, metavar="OUT.json", help="write the score as JSON")
+    scoring.set_defaults(run=_lazily("benchmark", "show_score"))
+
+
+def _lazily(command: str, function: str = "run") -> Callable[[argparse.Namespace], int | None]:
     """A command's `run`, whose module, and all that it needs, is imported when it runs."""
 
     def run(arguments: argparse.Namespace) -> int | None:
-        code: int | None = importlib.import_module(f"flexjoint.cli.{command}").run(arguments)
+        module = importlib.import_module(f"flexjoint.cli.{command}")
+        code: int | None = getattr(module, function)(arguments)
         return code
 
     return run

@@ -1,4 +1,4 @@
-"""A diagnosis as one self-contained HTML page: no network, no scripts, ready to print.
+"""A diagnosis as one self-contained HTML page: no network, ready to print; plots zoom, tables sort.
 
     from flexjoint import report
     report.write(diagnosis, robot, recording, Path("report.html"), before, after)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+from dataclasses import dataclass
+from importlib import resources
+
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from flexjoint.report.material import Material
 from flexjoint.report.sections import (
@@ -17,6 +23,14 @@ from flexjoint.report.sections import (
     trace,
     verdict,
 )
+
+
+@dataclass(frozen=True)
+class Script:
+    """The one script of a page, and the hash by which the page's security policy lets it run and no other."""
+
+    text: Markup
+    source: str
 
 
 def html(material: Material) -> str:
@@ -39,4 +53,11 @@ def html(material: Material) -> str:
         limits=limits.build(material),
         trace=trace.build(material),
         footer=footer.build(material),
+        script=_script(),
     )
+
+
+def _script() -> Script:
+    text = resources.files("flexjoint.report").joinpath("templates/page.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+    return Script(Markup(text), f"sha256-{digest}")

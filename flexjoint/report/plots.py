@@ -52,6 +52,15 @@ MOST_TICKS = 12
 
 
 @dataclass(frozen=True)
+class Plotted:
+    """What a picture's axes show, for the page's script, which draws them anew when a reader zooms."""
+
+    x: str  # labels
+    y: str
+    numbers: str  # limits of x and y; left, right, top and bottom of the axes as shares of the picture
+
+
+@dataclass(frozen=True)
 class Image:
     """An SVG as a data URI with its natural size [pt] and the text for those who cannot see it."""
 
@@ -59,6 +68,7 @@ class Image:
     width: float
     height: float
     alt: str
+    axes: Plotted | None = None  # none of a formula
 
 
 @contextmanager
@@ -144,9 +154,8 @@ def dependence(
                 markeredgewidth=0,
                 rasterized=True,
             )
-            bins = series.binned(x, values)
-            axes.fill_between(bins.x, bins.low, bins.high, color=colour, alpha=0.18, linewidth=0)
-            axes.plot(bins.x, bins.median, color=colour, linewidth=1.6, dashes=dashes)
+            for bins in series.levels(x, values):
+                _medians(axes, bins, colour, dashes)
         _robust_limits(axes, [values for values, _, _ in shown], noise)
         return _image(figure, alt)
 
@@ -191,6 +200,18 @@ def over_time(
         for day in events:
             axes.axvline(day, color=AFTER, linewidth=1.0, linestyle=":")
         return _image(figure, alt)
+
+
+def _medians(axes: Axes, bins: series.Binned, colour: str, dashes: tuple[float, ...]) -> None:
+    """Lines through the medians; points where x has a few values only, or a bin has no neighbour."""
+    bare = ~np.isfinite(bins.median)
+    alone = np.concatenate([[True], bare[:-1]]) & np.concatenate([bare[1:], [True]]) & ~bare
+    alone |= bins.discrete & ~bare
+    spread = (bins.median[alone] - bins.low[alone], bins.high[alone] - bins.median[alone])
+    axes.errorbar(bins.x[alone], bins.median[alone], spread, fmt="o", markersize=4, color=colour)
+    if not bins.discrete:
+        axes.fill_between(bins.x, bins.low, bins.high, color=colour, alpha=0.18, linewidth=0)
+        axes.plot(bins.x, bins.median, color=colour, linewidth=1.6, dashes=dashes)
 
 
 def formula(latex: str) -> Image | None:
@@ -250,4 +271,13 @@ def _image(figure: Figure, alt: str, tight: bool = False) -> Image:
     head = svg[: svg.index(">")]
     width, height = (float(head.split(f'{side}="')[1].split("pt")[0]) for side in ("width", "height"))
     encoded = base64.b64encode(svg.encode("utf-8")).decode("ascii")
-    return Image(f"data:image/svg+xml;base64,{encoded}", width, height, alt)
+    return Image(f"data:image/svg+xml;base64,{encoded}", width, height, alt, _plotted(figure))
+
+
+def _plotted(figure: Figure) -> Plotted | None:
+    if not figure.axes:
+        return None
+    axes = figure.axes[0]
+    sides = (MARGINS[side] for side in ("left", "right", "top", "bottom"))
+    numbers = (*axes.get_xlim(), *axes.get_ylim(), *sides)
+    return Plotted(axes.get_xlabel(), axes.get_ylabel(), " ".join(f"{number:.9g}" for number in numbers))

@@ -259,9 +259,8 @@ def load(
             What hangs on a section that is left out is left out too (`Robot.disabled`).
         preset: a set of numbers of the file; default: those under `joints`.
         grounded: fix a floating base.
-        joints, stiffness, damping, motor_inertia, motor_damping, torque_limit, kp, kd, gear_ratio,
-            torque_constant, rates, tolerance: of a description, as in `Robot.from_model`; a robot file states
-            its own. Joints are rigid by default.
+        joints: of a description, as in `Robot.from_model`, like stiffness and all that follow; a robot file
+            states its own. Joints are rigid by default.
         base: of a description; default: fixed, of an MJCF what its first body has.
 
     Raises RobotError or UnknownNameError with what was expected, what came and what to do.

@@ -156,6 +156,13 @@ def test_the_readme_examples_run(
     assert names["rest"].theta.shape == (1, 6) and len(names["linear"].inputs) == 6
 
 
+def test_the_readme_is_short_and_begins_with_a_picture() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 120
+    (picture,) = [path for line in lines[:12] for path in re.findall(r"!\[.+\]\((.+)\)", line)]
+    assert (ROOT / picture).stat().st_size < 300_000
+
+
 def test_the_readme_commands_exist() -> None:
     from flexjoint.cli.main import main
 

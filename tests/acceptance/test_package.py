@@ -80,10 +80,13 @@ def source_files(*patterns: str) -> set[str]:
 def test_the_wheel_holds_every_module_template_and_robot(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     held = set(zipfile.ZipFile(wheel).namelist())
-    assert source_files("flexjoint/**/*") <= held
+    assert source_files("flexjoint/**/*", "flexjoint_benchmark/**/*") <= held
+    planting = source_files("tests/planting/**/*")
+    assert {f"flexjoint_benchmark/{name.removeprefix('tests/')}" for name in planting} <= held
     robots = {f"flexjoint/shipped/{name.removeprefix('robots/')}" for name in source_files("robots/**/*")}
     assert robots <= held and any(name.endswith("rec_C.parquet") for name in robots)
-    assert {name.split("/")[0] for name in held} == {"flexjoint", f"flexjoint-{version(built)}.dist-info"}
+    tops = {"flexjoint", "flexjoint_benchmark", f"flexjoint-{version(built)}.dist-info"}
+    assert {name.split("/")[0] for name in held} == tops
     assert not any("__pycache__" in name for name in held)
 
 
@@ -91,7 +94,14 @@ def test_the_source_distribution_holds_what_the_tests_need(built: Path) -> None:
     (archive,) = built.glob("*.tar.gz")
     with tarfile.open(archive) as content:
         held = {name.partition("/")[2] for name in content.getnames()}
-    code = source_files("flexjoint/**/*", "robots/**/*", "tests/**/*.py", "examples/**/*", "tests/golden/*")
+    code = source_files(
+        "flexjoint/**/*",
+        "flexjoint_benchmark/**/*",
+        "robots/**/*",
+        "tests/**/*.py",
+        "examples/**/*",
+        "tests/golden/*",
+    )
     wanted = code | source_files("docs/*.md", "notebooks/*.ipynb")
     assert wanted | {"Makefile", "README.md", "LICENSE", "pyproject.toml"} <= held
 

@@ -134,3 +134,64 @@ def test_binned_medians_follow_the_law():
     assert np.all((bins.low <= bins.median) & (bins.median <= bins.high))
     assert series.binned(np.full(100, 2.0), np.ones(100)).x == pytest.approx([2.0])
     assert series.binned(np.array([]), np.array([])).x.size == 0
+
+
+# --- residuals and signals of few values ---------------------------------------------------------------
+def test_a_residual_of_two_values_has_a_row_of_medians_for_each():
+    rng = np.random.default_rng(5)
+    x = np.sort(rng.uniform(0.0, 10.0, 4000))
+    y = 0.4 * np.sign(np.sin(17.0 * x)) + 0.05 * rng.standard_normal(x.size)
+    low, high = series.levels(x, y)
+    # a median of some 80 samples of sd 0.05 errs by 0.007
+    np.testing.assert_allclose(low.median, -0.4, atol=0.03)
+    np.testing.assert_allclose(high.median, 0.4, atol=0.03)
+    assert low.x.size == 24
+
+
+def test_forth_and_back_have_a_row_of_medians_each():
+    """An ellipse, as damping draws it over position: one median would jump from its top to its bottom."""
+    rng = np.random.default_rng(9)
+    phase = rng.uniform(0.0, 2 * np.pi, 6000)
+    x, y = np.sin(phase), np.cos(phase) + 0.02 * rng.standard_normal(phase.size)
+    low, high = series.levels(x, y)
+    middle = np.abs(high.x) < 0.9
+    # within a bin the ellipse falls by some 0.1 at 0.9; its median lies near the middle
+    np.testing.assert_allclose(high.median[middle], np.sqrt(1 - high.x[middle] ** 2), atol=0.04)
+    np.testing.assert_allclose(low.median[middle], -np.sqrt(1 - low.x[middle] ** 2), atol=0.04)
+    # at its ends, where forth meets back, both rows hold the same
+    assert abs(high.median[-1] - low.median[-1]) < 0.6
+
+
+def test_a_level_that_a_bin_does_not_visit_has_no_median_there():
+    rng = np.random.default_rng(6)
+    x = rng.uniform(-1.0, 1.0, 4000)
+    low, high = series.levels(x, 0.4 * np.sign(x) + 0.03 * rng.standard_normal(x.size))
+    assert np.all(np.isnan(low.median[low.x > 0.1])) and np.all(np.isfinite(low.median[low.x < -0.1]))
+    assert np.all(np.isnan(high.median[high.x < -0.1])) and np.all(np.isfinite(high.median[high.x > 0.1]))
+
+
+@pytest.mark.parametrize("name", ["normal", "uniform", "sine", "outliers", "constant"])
+def test_other_residuals_have_one_row(name):
+    rng = np.random.default_rng(7)
+    noise = rng.standard_normal(4000)
+    y = {
+        "normal": noise,
+        "uniform": rng.uniform(size=4000),
+        "sine": np.sin(np.linspace(0.0, 200.0, 4000)),
+        "outliers": np.where(rng.uniform(size=4000) < 0.02, 50.0, noise),
+        "constant": np.zeros(4000),
+    }[name]
+    assert series.between_levels(y) is None
+    assert len(series.levels(np.linspace(0.0, 1.0, 4000), y)) == 1
+
+
+def test_each_value_of_a_signal_of_few_values_is_a_bin():
+    rng = np.random.default_rng(8)
+    x = rng.choice([-1.0, 1.0, 3.0], 3000)
+    y = 0.5 * x + 0.1 * rng.standard_normal(x.size)
+    (bins,) = series.levels(x, y)
+    assert bins.discrete
+    np.testing.assert_array_equal(bins.x, [-1.0, 1.0, 3.0])
+    np.testing.assert_allclose(bins.median, 0.5 * bins.x, atol=0.02)  # 1000 samples of sd 0.1: 0.004
+    # var(0.5 x) = 0.667 of 0.677
+    assert series.dependence(x, y) == pytest.approx(0.985, abs=0.005)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from planting.catalogue import law
 
+from flexjoint_benchmark.score import EQUIVALENT
+
 Record = dict[str, Any]
 Key = tuple[str, str | None]
 
@@ -26,12 +28,7 @@ names beside missing or false ones, or an equivalent that was not listed as such
 without any right name. unexplained, healthy, refused: that verdict, without a right name. failed: an
 error."""
 
-GROUPS: tuple[frozenset[str], ...] = (
-    frozenset({"link_encoder_offset", "motor_encoder_offset", "spring_preload"}),
-    frozenset({"torque_delay", "current_lag", "current_loop_lag"}),
-    frozenset({"payload", "base_tilt"}),
-    frozenset({"torque_offset", "constant_torque"}),
-)
+GROUPS = EQUIVALENT
 """The same to any experiment (docs/diagnosis.md, "Ties"); payload and tilt on one joint."""
 
 STRUCK_EQUIVALENTS: dict[str, frozenset[str]] = {

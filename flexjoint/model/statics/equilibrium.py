@@ -73,7 +73,7 @@ def equilibrium(
         forces: (N, c, 6) or (c, 6) known forces of the contacts instead; what they leave is `unbalanced`.
         path: q is a path that is travelled slowly, in this order, from relaxed springs: hysteresis then
             remembers. Without, every pose stands for itself with internal states of effects at 0.
-        max_deflection: largest |theta - q| by joint [rad], to be checked.
+        max_deflection: largest `|theta - q|` by joint [rad], to be checked.
 
     Limits that are broken (motor torque, deflection, joint range, what the command can reach) are no error:
     `violations` names them.

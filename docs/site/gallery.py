@@ -1,0 +1,253 @@
+"""The gallery of effects: what each looks like in the residual and in the simulation, from the catalogue.
+
+One joint (a lever under gravity; two for a coupling of joints) follows the same motion with and without the
+effect, of the size that the study plants. Sizes are the generator's, figures docs/diagnosis_study.md's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import matplotlib.style
+import numpy as np
+import pinocchio as pin
+from flexjoint_benchmark.planting import ROBOTS
+from flexjoint_benchmark.planting.sizes import usual_effect
+from matplotlib.figure import Figure
+
+import flexjoint as fj
+from flexjoint.cli.effects import SITES, summary
+from flexjoint.diagnosis.result.wording import effect_name, unit_of
+from flexjoint.effects import Effect, Site
+from flexjoint.report.plots import AFTER, BEFORE, STYLE
+from flexjoint_benchmark.score import EQUIVALENT
+
+DOCS = Path(__file__).parents[1]
+SECONDS, RATE = 8.0, 1000.0
+ONE, TWO = ("lever", "swing"), ("crane", "")  # robot and joint; of the second, the last joint
+WAVES = ((0.5, 0.45, 0.0), (1.3, 0.18, 1.0), (2.9, 0.05, 2.0))  # frequency [Hz], amplitude [rad], phase
+BALANCES = {
+    "motor": "motor: tau_m - B ddtheta - D_m dtheta - tau_t",
+    "spring": "spring: tau_t - K phi - D dphi",
+    "link": "link: tau_t - inverse dynamics",
+}
+TOLD_APART = (  # docs/diagnosis.md, "Ties": what looks alike in a poor recording, and what parts it
+    ("torque_gain", "motor_coulomb_friction", "a rich motion with tau_t"),
+    ("motor_coulomb_friction", "link_coulomb_friction", "tau_t or both encoders"),
+    ("motor_viscous_friction", "link_viscous_friction", "tau_t or both encoders"),
+    ("torque_gain", "torque_sensor_gain", "a second recording with a known payload"),
+    ("sensor_delay", "link_viscous_friction", "q and tau_t"),
+)
+HEAD = """\
+# Gallery of effects
+
+Generated from the catalogue by `make site`. A lever on a flexible joint (two joints for a coupling) follows
+the same motion with and without the effect, of the size that [the study](docs/diagnosis_study.md) plants.
+Left: the residual of the torque balance in which it shows most, over the signal that it depends on (the
+nominal model's is zero). Right: how far the link goes astray in the simulation. Definitions, ranges and
+defaults: [effects](docs/effects.md).
+"""
+
+
+def page(folder: Path) -> str:
+    """The page; pictures go to `folder`, and those that are there and fresh are kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = [HEAD]
+    for site in Site:
+        effects = [e for _, e in sorted(fj.catalogue().items()) if e.site is site]
+        if effects:
+            parts += [f"## {SITES[site].rstrip('.')}", *(_card(effect, folder) for effect in effects)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _card(effect: Effect, folder: Path) -> str:
+    planted = _planted(effect)
+    lines = [
+        f"### {effect_name(effect.name)[0].upper()}{effect_name(effect.name)[1:]}",
+        f"`{effect.name}`. {summary(effect)}",
+    ]
+    if effect.law:
+        lines.append(f"$${effect.law}$$")
+    lines.append(
+        f"![{effect.name}: residual and simulation](gallery_pictures/{_picture(effect, planted, folder)})"
+    )
+    units = {p.name: p.unit for p in effect.params}
+    size = ", ".join(
+        f"{k} {_number(v)} {units.get(k, '').replace('1', '')}".strip() for k, v in planted.items()
+    )
+    lines.append(f"Here: {size}. Reference: {effect.reference or 'none'}.")
+    lines.append(" ".join([*_alike(effect), *_study(effect.name)]))
+    return "\n\n".join(line for line in lines if line)
+
+
+def _number(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, int | float) else str(value)
+
+
+def _alike(effect: Effect) -> list[str]:
+    """What it is confused with, in any recording, and what tells it from what it contains."""
+    same = sorted({name for group in EQUIVALENT if effect.name in group for name in group} - {effect.name})
+    out = []
+    if same:
+        out.append(f"The same to any experiment as {_listed(same)} ([ties](docs/diagnosis.md#ties)).")
+    for pair in TOLD_APART:
+        if effect.name in pair[:2]:
+            (other,) = {*pair[:2]} - {effect.name}
+            out.append(f"Told from `{other}` by {pair[2]}.")
+    if effect.contains:
+        out.append(
+            f"It contains {_listed(effect.contains)}, which is left where a motion does not excite the rest."
+        )
+    return out
+
+
+def _listed(names: Any) -> str:
+    return " and ".join(f"`{name}`" for name in names)
+
+
+@cache
+def _tables() -> dict[str, dict[str, str]]:
+    """Rows of the study's tables of confusion, by effect."""
+    rows: dict[str, dict[str, str]] = {}
+    heads: list[str] = []
+    for line in (DOCS / "diagnosis_study.md").read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
+        if line.startswith("| planted |"):
+            heads = cells
+        elif heads and line.startswith("| ") and len(cells) == len(heads):
+            rows.setdefault(cells[0], dict(zip(heads, cells, strict=True)))
+        elif not line.startswith("|"):
+            heads = []
+    return rows
+
+
+def _study(name: str) -> list[str]:
+    row = _tables().get(name)
+    if row is None or not row.get("cases", "").isdigit():
+        return []
+    exact, tied = (int(row.get(k) or 0) for k in ("exact", "tied"))
+    said = f"In the study it was named exactly in {exact} of {row['cases']} cases above the noise"
+    said += f", beside a tie in {tied} more." if tied else "."
+    wrong = row.get("false names", "")
+    return [said, *([f"Named in its place: {wrong}."] if wrong else [])]
+
+
+# --- pictures ---------------------------------------------------------------------------------------------
+def _picture(effect: Effect, planted: dict[str, Any], folder: Path) -> str:
+    source = Path(inspect.getfile(type(effect))).read_bytes() + Path(__file__).read_bytes()
+    name = f"{effect.name}-{hashlib.sha256(source + repr(planted).encode()).hexdigest()[:10]}.svg"
+    if not (folder / name).exists():
+        for old in folder.glob(f"{effect.name}-*.svg"):
+            old.unlink()
+        _draw(effect, planted, folder / name)
+    return name
+
+
+def _draw(effect: Effect, planted: dict[str, Any], path: Path) -> None:
+    robot, joint = _robot(effect)
+    nominal = _nominal(robot.name)
+    where = None if effect.whole_robot else joint
+    run = fj.simulate(
+        fj.FlexibleJointModel(robot, [fj.effect(effect.name, where, **planted)]), _reference(robot)
+    )
+    residuals = _residuals(robot, run.measured, joint)
+    balance = max(residuals, key=lambda b: float(np.sqrt(np.mean(residuals[b] ** 2))))
+    x = _signal(run.measured, effect.against, joint, robot.joint_names)
+    astray = 1e3 * (run.true.get("q", joint) - nominal.true.get("q", joint))
+    inner = slice(200, -20)  # derivatives at the ends
+    with matplotlib.style.context(["default", {**STYLE, "font.size": 8, "axes.labelsize": 8}]):
+        figure = Figure(figsize=(7.6, 2.1))
+        left, right = figure.subplots(1, 2)
+        left.plot(
+            x[inner][::3], residuals[balance][inner][::3], ".", color=BEFORE, markersize=1.6, rasterized=True
+        )
+        left.set_xlabel(f"{effect.against} [{unit_of(effect.against, False) or 's'}]")
+        left.set_ylabel(f"{balance} residual [N m]")
+        left.set_title(BALANCES[balance], fontsize=7, loc="left", color="#52606d")
+        right.plot(run.true.time, astray, color=AFTER, linewidth=0.9)
+        right.set_xlabel("time [s]")
+        right.set_ylabel("q - nominal q [mrad]")
+        figure.tight_layout()
+        figure.savefig(path, format="svg", dpi=110, metadata={"Date": None, "Creator": None})
+
+
+def _signal(run: fj.Recording, name: str, joint: str, joints: tuple[str, ...]) -> np.ndarray:
+    """(N,) a signal that effects may depend on."""
+    if name == "t":
+        return run.time
+    if name in ("phi", "dphi"):
+        motor, link = ("theta", "q") if name == "phi" else ("dtheta", "dq")
+        return run.get(motor, joint) - run.get(link, joint)
+    if name in ("tau_m_before", "tau_m_after"):
+        other = joints.index(joint) + (-1 if name == "tau_m_before" else 1)
+        return run.get("tau_m", joints[other])
+    return run.get(name, joint)
+
+
+def _robot(effect: Effect) -> tuple[fj.Robot, str]:
+    name, joint = TWO if effect.name == "joint_coupling" else ONE
+    robot = _loaded(name)
+    return robot, joint or robot.joint_names[-1]
+
+
+@cache
+def _loaded(name: str) -> fj.Robot:
+    return fj.load_robot(ROBOTS / f"{name}.yaml")
+
+
+def _reference(robot: fj.Robot) -> fj.Recording:
+    time = np.arange(0.0, SECONDS, 1.0 / RATE)
+    rise = np.clip(time, 0.0, 1.0) ** 2 * (3 - 2 * np.clip(time, 0.0, 1.0))  # from rest
+    columns = {}
+    for k, joint in enumerate(robot.joint_names):
+        waves = sum(a * np.sin(2 * np.pi * f * (1 + 0.2 * k) * time + p) for f, a, p in WAVES)
+        columns["q_ref", joint] = rise * waves
+    return fj.make_recording(time, columns)
+
+
+@cache
+def _nominal(name: str) -> fj.Simulation:
+    robot = _loaded(name)
+    return fj.simulate(fj.FlexibleJointModel(robot), _reference(robot))
+
+
+def _residuals(robot: fj.Robot, run: fj.Recording, joint: str) -> dict[str, np.ndarray]:
+    """(N,) [N m] of each balance of the nominal numbers, along the measured motion."""
+    drive, time = robot.joint(joint).drive, run.time
+    get = lambda channel, name=joint: run.get(channel, name)  # noqa: E731
+    tau_t, phi, dphi = get("tau_t"), get("theta") - get("q"), get("dtheta") - get("dq")
+    q, dq = (np.stack([get(c, name) for name in robot.joint_names], axis=1) for c in ("q", "dq"))
+    ddq = np.gradient(dq, time, axis=0)
+    data = robot.model.createData()
+    place = robot.joint(joint).idx_v
+    load = np.array([pin.rnea(robot.model, data, *state)[place] for state in zip(q, dq, ddq, strict=True)])
+    ddtheta = np.gradient(get("dtheta"), time)
+    return {
+        "motor": get("tau_m") - drive.B * ddtheta - drive.D_m * get("dtheta") - tau_t,
+        "spring": tau_t - drive.K * phi - drive.D * dphi,
+        "link": tau_t - load,
+    }
+
+
+def _planted(effect: Effect) -> dict[str, Any]:
+    """The usual size; of what depends on the motion, what this one meets."""
+    robot, joint = _robot(effect)
+    run = _nominal(robot.name).true
+    torque, speed, angle = (np.abs(run.get(c, joint)).max() for c in ("tau_m", "dtheta", "q"))
+    met = {
+        "torque_saturation": {"limit": 0.7 * torque},
+        "torque_speed_limit": {"stall": 0.9 * torque, "drop": 0.3 * torque / speed},
+        "end_stop": {"position": 0.7 * angle, "stiffness": 4 * float(robot.joint(joint).drive.K)},
+        "rough_spot": {"level": 0.08 * 120.0, "position": 0.1, "width": 0.1},
+    }
+    if effect.name in met:
+        return {name: float(f"{value:.3g}") for name, value in met[effect.name].items()}
+    try:
+        planted = usual_effect(effect.name, robot.name, joint, np.random.default_rng(1))
+    except ValueError:  # the generator has no law of it: the catalogue's own default
+        return {param.name: param.value for param in effect.params}
+    return {name: value for name, value in planted.parameters.items() if value is not None}
