@@ -74,7 +74,7 @@ def sizes(layout: DiscreteModel, functions: Sequence[ca.Function]) -> dict[str, 
     return {
         "FJ_STEP_ARG": max(function.sz_arg() for function in functions),
         "FJ_STEP_RES": max(function.sz_res() for function in functions),
-        "FJ_STEP_W": max(function.sz_w() for function in functions) + layout.plain + model.nv + 2,
+        "FJ_STEP_W": max(function.sz_w() for function in functions) + 1,
         "FJ_TOTALS": functions[1].numel_out(0),
         "FJ_TURNING": 3 if keeps.floating else 0,
         "FJ_FREE": int(keeps.free),

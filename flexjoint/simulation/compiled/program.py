@@ -133,7 +133,12 @@ def write_program(
         "fj_observe": [x, symbolic.u, c, symbolic.t],
         "fj_control": [y, r, g, c, symbolic.t],
     }
-    functions = [ca.Function(name, arguments[name], [bodies[name]]) for name in outputs]
+    parts = {name: [body] for name, body in bodies.items()}
+    if repeats:  # the state row apart, straight to where it belongs
+        parts[passes.PASS] = ca.vertsplit(
+            bodies[passes.PASS], [0, discrete.plain, bodies[passes.PASS].numel()]
+        )
+    functions = [ca.Function(name, arguments[name], parts[name]) for name in outputs]
     functions.append(ca.Function("fj_setup", [symbolic.p], [ca.vertcat(ca.SX(0, 1), *constant)]))
     sizes = {
         "FJ_NQ": model.nq,
