@@ -9,10 +9,13 @@ from pathlib import Path
 import pytest
 from support import fake_diagnosis
 
+from flexjoint.core.ops import Value
 from flexjoint.core.worker_pool import WORKERS
+from flexjoint.model.dynamics import State
 from flexjoint.recording import table as recording
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.compiled import cache
+from flexjoint.simulation.schemes.midpoint import Midpoint
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # the cores are taken by the tests beside each other
     os.environ.setdefault(WORKERS, "1")
@@ -30,6 +33,16 @@ def monday(tmp_path: Path) -> Path:
     path = tmp_path / "monday.csv"
     recording.write(fake_diagnosis.signals(seconds=4.0), path)
     return path
+
+
+@pytest.fixture
+def one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The default scheme on numbers takes one pass a step, as on expressions."""
+
+    def step(self: Midpoint, x: State, tau_m: Value) -> State:
+        return self.one_pass(x, tau_m, x.v, x.v + self.a * x.acc).end
+
+    monkeypatch.setattr(Midpoint, "step", step)
 
 
 @pytest.fixture(scope="module")

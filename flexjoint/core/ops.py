@@ -131,6 +131,11 @@ def join(vectors: Sequence[Value]) -> Value:
     return ca.vertcat(*vectors) if is_symbolic(*vectors) else np.concatenate(vectors)
 
 
+def dot(a: Value, b: Value) -> Value:
+    """Sum of products of the entries of two vectors."""
+    return ca.dot(a, b) if is_symbolic(a, b) else float(a @ b)
+
+
 def copy(vector: Value) -> Value:
     """A vector that may be written on."""
     return vector.copy() if isinstance(vector, np.ndarray) else type(vector)(vector)

@@ -8,6 +8,7 @@ not, for armature is no inertial parameter of a body.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -160,6 +161,32 @@ class PinBody:
         potential is 0 with all of them at the origin."""
         kinetic = 0.5 * float(v @ self.mass_matrix(q) @ v)
         return kinetic + float(pin.computePotentialEnergy(self._model, self._data, q))
+
+    @cached_property
+    def _bare(self) -> pin.Model:
+        """The model without armature."""
+        model = self._model.copy()
+        model.armature = np.zeros(self.nv)
+        return model
+
+    def totals(self, q: np.ndarray, v: np.ndarray, whole: bool) -> list[float]:
+        """Of all moving bodies: kinetic energy [J], the model's own armature included, and first moment of
+        mass (3) in the base [kg m]. Where `whole`, also momentum (3) [kg m/s], angular momentum (3)
+        [kg m^2/s] and inertia xx, xy, yy, xz, yz, zz [kg m^2] about the common centre of mass, in base axes,
+        and mass [kg]."""
+        model, data = self._model, self._data
+        # Pinocchio's kinetic energy leaves out the armature of some types of joints
+        kinetic = float(pin.computeKineticEnergy(self._bare, data, q, v)) + 0.5 * float(
+            self.armature @ (v * v)
+        )
+        if not whole:
+            moment = pin.computeTotalMass(model) * pin.centerOfMass(model, data, q, False)
+            return [kinetic, *moment.tolist()]
+        pin.ccrba(model, data, q, v)
+        moment = data.Ig.mass * data.com[0]
+        inertia = data.Ig.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+        momentum = data.hg.vector
+        return [kinetic, *moment.tolist(), *momentum.tolist(), *inertia.tolist(), float(data.Ig.mass)]
 
     # ------------------------------------------------------------------ trajectories of N rows
 

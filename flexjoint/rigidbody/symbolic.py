@@ -32,6 +32,7 @@ from flexjoint.rigidbody.spatial import (
     body_regressor,
     centripetal,
     clean_rotation,
+    skew,
     symmetric,
     without_dust,
 )
@@ -215,6 +216,39 @@ class SymbolicBody:
             for ancestor, carried in self._carried_up(k, motion.placements, wrench):
                 result[ancestor.v, columns] += ca.SX(ancestor.axes).T @ carried
         return result
+
+    def totals(self, q: ca.SX, v: ca.SX, whole: bool) -> list[ca.SX]:
+        """As PinBody.totals."""
+        q, v = self._column(q, "q"), self._column(v, "v")
+        placements = self._placements(q)
+        velocities: list[ca.SX] = []
+        wrenches: list[ca.SX] = []
+        kinetic = ca.dot(ca.SX(self.armature), v * v) / 2
+        for joint, placement, inertia in zip(self._joints, placements, self._inertias, strict=True):
+            velocity = joint.velocity(v)
+            if joint.parent:
+                velocity = velocity + placement.acceleration_to_child(velocities[joint.parent - 1])
+            velocities.append(velocity)
+            wrenches.append(inertia.wrench(velocity))
+            kinetic = kinetic + ca.dot(velocity, wrenches[-1]) / 2
+        carried = list(self._inertias)
+        total, momentum = RigidInertia(ca.SX(0), ca.SX.zeros(3), ca.SX.zeros(3, 3)), ca.SX.zeros(6)
+        for k in reversed(range(len(self._joints))):
+            moved = carried[k].to_parent(placements[k])
+            wrench = placements[k].wrench_to_parent(wrenches[k])
+            if parent := self._joints[k].parent:
+                carried[parent - 1] = carried[parent - 1] + moved
+                wrenches[parent - 1] = wrenches[parent - 1] + wrench
+            else:
+                total, momentum = total + moved, momentum + wrench
+        found = [kinetic, *ca.vertsplit(total.moment)]
+        if not whole:
+            return found
+        lever = skew(total.moment / total.mass)
+        about = total.rotational + lever @ skew(total.moment)
+        angular = momentum[3:] - lever @ momentum[:3]
+        entries = [about[j, k] for j, k in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
+        return [*found, *ca.vertsplit(momentum[:3]), *ca.vertsplit(angular), *entries, total.mass]
 
     # ------------------------------------------------------------------ kinematics
 

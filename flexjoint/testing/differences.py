@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError, unknown
+from flexjoint.simulation.simulate import Simulation
 from flexjoint.testing.golden import UNITS, About, GoldenRun, read_golden, record_golden
 
 RECORD = "FLEXJOINT_GOLDEN"  # environment variable; "record" writes golden files anew
@@ -95,10 +96,16 @@ def assert_golden(
 
     Raises:
         AssertionError: what differs; settings or a robot other than the file's; no file.
-        FlexJointError: see `differences`.
+        FlexJointError: see `differences`; something else than what `golden_run` gives.
     """
     __tracebackhide__ = True  # pytest then shows the caller's line
     out = Path(path)
+    if not isinstance(run, GoldenRun):
+        motion = "run.trajectory" if isinstance(run, Simulation) else "trajectory"
+        raise FlexJointError(
+            f"assert_golden: expected what golden_run gives, got a {type(run).__name__}; pass"
+            f" golden_run(model, {motion}, rate=20.0), which knows the robot and the rows to keep"
+        )
     wanted = os.environ.get(RECORD, "")
     if wanted not in ("", "record"):
         raise FlexJointError(f"{RECORD}: expected record or nothing, got {wanted!r}")

@@ -249,15 +249,12 @@ def test_a_floating_robot_keeps_its_momentum() -> None:
     model = FlexibleJointModel(robot, [effect("motor_coulomb_friction", "roll", level=1.0)])
     start = model.rest()
     data = robot.model.createData()
-    drifts = []
     for rate in (500, 1000):
         tape = rollout(model, start, waves(3, rate, rate), RunOptions(rate=rate))
         momentum = pin.computeCentroidalMomentum(robot.model, data, tape.q[-1], tape.v[-1]).vector
-        drifts.append(np.max(np.abs(momentum)))
+        assert np.max(np.abs(momentum)) < 1e-13  # rounding: measured 1e-15 of bodies with some kg m/s
         assert np.max(np.abs(tape.v)) > 0.5
         assert np.linalg.norm(tape.q[-1, 3:7]) == pytest.approx(1.0, abs=1e-12)
-    assert drifts[1] < 1e-3
-    assert drifts[0] / drifts[1] > 3.0  # order 2
 
 
 @pytest.mark.parametrize(

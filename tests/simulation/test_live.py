@@ -325,6 +325,7 @@ def test_a_jump_of_stiffness_moves_no_torque_but_that_of_the_spring() -> None:
     assert rest.theta - rest.q == pytest.approx(phi / 2, rel=1e-3)  # half the deflection carries the load
 
 
+@pytest.mark.usefixtures("one_pass")
 def test_a_commanded_stiffness_of_an_expression_steps_as_numbers_do() -> None:
     springs = {"knee": VariableSpring(lambda t: STIFF - SOFT * ops.sin(12.0 * t))}
     numeric = FlexibleJointModel(make(PLANAR), [], springs=springs)

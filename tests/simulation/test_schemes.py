@@ -157,7 +157,10 @@ def test_a_scheme_tells_its_calls_of_the_articulated_body_algorithm(
     counted: list[int] = []
     aba = model.body.aba
     monkeypatch.setattr(model.body, "aba", lambda *arguments: counted.append(1) or aba(*arguments))
-    make_step(model, 1e-3, scheme)(moving(model), np.ones(2))
+    x = moving(model)
+    x.acc = model.rates(x, np.ones(2), None).acc  # a start that remembers nothing predicts badly
+    counted.clear()
+    make_step(model, 1e-4, scheme)(x, np.ones(2))
     told = SCHEMES[scheme].aba_calls
     assert len(counted) == told if told is not None else len(counted) > 4
 
@@ -277,6 +280,7 @@ def test_every_scheme_runs_with_every_sort_of_effect(case: str, scheme: str) -> 
     assert np.max(np.abs(fine.theta[-1] - fine.theta[fine.first])) > 1e-2
 
 
+@pytest.mark.usefixtures("one_pass")
 @pytest.mark.parametrize("scheme", [name for name, scheme in SCHEMES.items() if scheme.expressions])
 @pytest.mark.parametrize("case", CASES)
 def test_expressions_step_as_numbers_do(case: str, scheme: str) -> None:

@@ -42,6 +42,7 @@ def stepped(discrete: DiscreteModel, x: np.ndarray, torque: np.ndarray, p: np.nd
     return x
 
 
+@pytest.mark.usefixtures("one_pass")
 @pytest.mark.parametrize("scheme", [name for name, scheme in SCHEMES.items() if scheme.expressions])
 def test_a_step_of_every_scheme_is_the_numeric_one(scheme: str) -> None:
     robot = make(PLANAR)
@@ -67,6 +68,7 @@ def test_schemes_and_free_parameters_are_checked() -> None:
         SymbolicModel(robot, free=("masses",))
 
 
+@pytest.mark.usefixtures("one_pass")
 def test_drives_and_inertial_parameters_can_be_free() -> None:
     robot = make(SPATIAL, {"yaw": {"stiffness": float("inf")}})
     effects = [effect("payload", "pitch", mass=0.4)]

@@ -49,11 +49,13 @@ def agree(robot: Robot, effects: list[Planned], atol: float = 1e-11) -> None:
         np.testing.assert_allclose(dx, numeric.rhs(x0, torque[3], 0.02, 0.3), rtol=1e-12, atol=1e-11)
 
 
+@pytest.mark.usefixtures("one_pass")
 @pytest.mark.parametrize("planned", one_of_each("roll"), ids=lambda planned: planned.effect.name)
 def test_every_effect_agrees(planned: Planned) -> None:
     agree(make(SPATIAL), [planned])
 
 
+@pytest.mark.usefixtures("one_pass")
 def test_rigid_joints_several_frictions_and_a_floating_base_agree() -> None:
     frictions = [
         effect("link_coulomb_friction", "yaw", level=0.3),

@@ -121,6 +121,12 @@ def test_a_run_that_is_not_finite_differs() -> None:
     assert not Path("never.parquet").exists()
 
 
+def test_a_motion_is_refused_with_what_to_pass() -> None:
+    model = arm()
+    with pytest.raises(FlexJointError, match=r"got a Trajectory; pass golden_run\(model, trajectory"):
+        testing.assert_golden(swinging(model), "x.parquet", TOLERANCES)  # type: ignore[arg-type]
+
+
 def test_a_missing_file_fails_and_nothing_is_written(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match=r"does not exist.*FLEXJOINT_GOLDEN=record"):
         testing.assert_golden(kept(arm()), tmp_path / "arm.parquet", TOLERANCES)

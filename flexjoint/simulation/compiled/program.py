@@ -19,10 +19,12 @@ from flexjoint.core.functions import c_source, unguarded
 from flexjoint.effects import SENSOR_CHANNELS, Signals
 from flexjoint.model.symbolic import SymbolicModel
 from flexjoint.rigidbody.symbolic import SymbolicBody
+from flexjoint.simulation.compiled import midpoint as passes
 from flexjoint.simulation.compiled import newton as implicit_newton
 from flexjoint.simulation.controllers import Law, Mixed
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.schemes import DEFAULT, find
+from flexjoint.simulation.schemes.base import Scheme
 from flexjoint.simulation.schemes.discrete import DiscreteModel
 
 LARGE = 30_000  # operations of a step: CENTAURO's by the default scheme has 16 000, by RK4 60 000
@@ -67,7 +69,7 @@ def write_program(
     model, n = symbolic.model, len(symbolic.robot.joints)
     rate, width, used = options.rate_for(symbolic.robot), options.width, find(options.scheme)
     used.check(model, width)
-    newton = used.newton
+    newton, repeats = used.newton, used.repeats
     # the state's layout is that of every scheme
     discrete = DiscreteModel(symbolic, rate, DEFAULT if newton else used.name, width)
     x = ca.SX.sym("x", discrete.plain)
@@ -93,15 +95,20 @@ def write_program(
         reference = {name: r[k * n : (k + 1) * n] for k, name in enumerate(references)}
         torque = ca.SX(ca.densify(free.torque(reference, reading)))
     w = implicit_newton.unknowns(discrete)
+    own_symbols = passes.symbols(discrete)
     names: tuple[str, ...] = implicit_newton.OUTPUTS if newton else ("fj_step",)
     if newton:
         stepped, calls = _with_calls(
             symbolic, lambda: implicit_newton.equations(discrete, state, w, 1.0 / rate, width)
         )
+    elif repeats:
+        names = (passes.PASS,)
+        stepped, calls = _with_calls(symbolic, lambda: (passes.passed(discrete, state, own_symbols),))
     else:
         stepped, calls = _with_calls(symbolic, lambda: (discrete.advanced(state, symbolic.u),))
     outputs = {
         **dict(zip(names, stepped, strict=True)),
+        **(dict(zip(passes.REST, passes.kept(discrete, own_symbols), strict=True)) if repeats else {}),
         # at a tick the command to come is not known: a law sees springs without it
         "fj_signals": ca.substitute(
             _column(true[channel, i] for channel in reads for i in range(n)), symbolic.u, ca.SX.zeros(n)
@@ -121,12 +128,17 @@ def write_program(
         "fj_guess": [x, symbolic.u, c, symbolic.t],
         "fj_missing": [w, x, symbolic.u, c, symbolic.t],
         "fj_end": [w, x, symbolic.u, c, symbolic.t],
+        **passes.arguments(own_symbols, x, symbolic.u, c, symbolic.t),
         "fj_signals": [x, c, symbolic.t],
         "fj_observe": [x, symbolic.u, c, symbolic.t],
         "fj_control": [y, r, g, c, symbolic.t],
     }
-    functions = [ca.Function(name, arguments[name], [bodies[name]]) for name in outputs]
-    own = functions[: len(names)]
+    parts = {name: [body] for name, body in bodies.items()}
+    if repeats:  # the state row apart, straight to where it belongs
+        parts[passes.PASS] = ca.vertsplit(
+            bodies[passes.PASS], [0, discrete.plain, bodies[passes.PASS].numel()]
+        )
+    functions = [ca.Function(name, arguments[name], parts[name]) for name in outputs]
     functions.append(ca.Function("fj_setup", [symbolic.p], [ca.vertcat(ca.SX(0, 1), *constant)]))
     sizes = {
         "FJ_NQ": model.nq,
@@ -139,10 +151,9 @@ def write_program(
         "FJ_NG": g.numel(),
         "FJ_NC": c.numel(),
         "FJ_NO": 7 * n,
-        **(implicit_newton.sizes(own) if newton else _step_sizes(own[0])),
     }
-    numbers = {**sizes, **(implicit_newton.numbers() if newton else {})}
-    files = ["setup.c", *(["newton.c"] if newton else []), "driver.c"]
+    numbers, file = _stepping(discrete, used, functions)
+    numbers, files = {**sizes, **numbers}, ["setup.c", *file, "driver.c"]
     return Program(
         source=c_program(functions, numbers, files),
         nq=model.nq,
@@ -198,8 +209,19 @@ def _with_calls(
         model.body = body
 
 
-def _step_sizes(step: ca.Function) -> dict[str, int]:
-    return {"FJ_STEP_ARG": step.sz_arg(), "FJ_STEP_RES": step.sz_res(), "FJ_STEP_W": step.sz_w() + 1}
+def _stepping(
+    discrete: DiscreteModel, scheme: Scheme, functions: Sequence[ca.Function]
+) -> tuple[dict[str, float], list[str]]:
+    """Numbers for the C of a step, and the file that has it where it is not generated; functions: those of a
+    step come first."""
+    if scheme.newton:
+        own = functions[: len(implicit_newton.OUTPUTS)]
+        return {**implicit_newton.sizes(own), **implicit_newton.numbers()}, ["newton.c"]
+    if scheme.repeats:
+        own = functions[: 1 + len(passes.REST)]
+        return {**passes.sizes(discrete, own), **passes.numbers(discrete)}, ["midpoint.c"]
+    step = functions[0]
+    return {"FJ_STEP_ARG": step.sz_arg(), "FJ_STEP_RES": step.sz_res(), "FJ_STEP_W": step.sz_w() + 1}, []
 
 
 class _CalledBody:

@@ -19,6 +19,8 @@ class ExplicitEuler(Scheme):
 
     name = "explicit_euler"
     order = 1
+    keeps_energy = 0.1
+    keeps_momentum = 0.0
     aba_calls = 1
 
     def _step(self, model: FlexibleJointModel, h: float, width: float | None) -> Step:
@@ -37,6 +39,8 @@ class SemiImplicitEuler(Scheme):
 
     name = "semi_implicit_euler"
     order = 1
+    keeps_energy = 0.1
+    keeps_momentum = 0.0
     sticks = True
     aba_calls = 1
     contact_damping = 2.0
@@ -71,6 +75,8 @@ class Kashiri2017(Scheme):
 
     name = "kashiri2017"
     order = 1
+    keeps_energy = 0.1
+    keeps_momentum = 0.0
     aba_calls = 1
     contact_damping = 2.0
     new_motor_velocity: ClassVar[bool] = False
@@ -101,6 +107,7 @@ class RK4(Scheme):
 
     name = "rk4"
     order = 4
+    keeps_momentum = 0.25  # of energy, it only loses some
     aba_calls = 4
 
     def _step(self, model: FlexibleJointModel, h: float, width: float | None) -> Step:

@@ -90,6 +90,8 @@ class ImplicitMidpoint(Scheme):
     name = "implicit_midpoint"
     order = 2
     any_stiffness = True
+    keeps_energy = 2.0
+    keeps_momentum = 0.1
     newton = True
 
     def _step(self, model: FlexibleJointModel, h: float, width: float | None) -> Step:

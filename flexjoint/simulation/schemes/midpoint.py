@@ -12,6 +12,17 @@ that depend on anything else are evaluated at the predicted midpoint (q + a v, v
 contacts (`flexjoint.model.contact.compliant`) give such forces; anchors slip at the predicted midpoint. Rigid
 ones (`flexjoint.model.contact.rigid`) are impulses on the links' midpoint and end velocities, with that
 armature. Joints whose motors turn together are in coupled.py.
+
+Where what rings turns within a few steps, that prediction fails, and velocity forces of the wrong sign make
+energy and momentum. So a step whose midpoint comes out elsewhere than predicted takes the links' velocity
+forces at the midpoint that came out, and again until it stays. Its end velocities are then put right
+(`conservation`): the links gain, to rounding, the energy that torques and gravity did in work. With linear
+springs the whole step is passive. What flies freely is put right in every step, and keeps its momentum. Where
+repeating does not converge, the step takes the mass matrix of its start and no velocity forces: of order 1,
+and passive however long it is.
+
+Expressions are one pass, smooth in state and torque: they neither repeat nor put right. Nor do steps on rigid
+ground, or of joints whose motors turn together.
 """
 
 from __future__ import annotations
@@ -31,9 +42,16 @@ from flexjoint.model.contact.rigid import HalfStep, RigidContacts, RigidGround
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.joint import JointFlow
 from flexjoint.simulation.schemes.base import DEFAULT, Scheme, Step, midpoint_matrix
+from flexjoint.simulation.schemes.conservation import Conservation
 from flexjoint.simulation.schemes.coupled import GroupStep, tied_step
 from flexjoint.simulation.schemes.friction import SWEEPS, TINY, directed, friction_forces, rubbed
 from flexjoint.simulation.schemes.midway import Midway
+
+MISSED = 3e-3  # of the largest velocity: a midpoint that is off by more was predicted badly
+STAYS = 1e-4  # of it: a repeated one that moves by less stays
+NEGLIGIBLE = 1e-7  # [rad] or [m] a step: a midpoint velocity may be off by as much at any rate
+REPEATS = 8  # passes after the first; each shrinks the error about h |v| times
+GROWS = 2.0  # times the error before: repeating does not converge
 
 
 class LinearlyImplicitMidpoint(Scheme):
@@ -44,7 +62,8 @@ class LinearlyImplicitMidpoint(Scheme):
     order = 2
     sticks = True
     any_stiffness = True
-    aba_calls = 1
+    aba_calls = 1  # where the prediction holds
+    repeats = True
     rigid_ground = True
     slips = True  # at its midpoint
     contact_damping = 1.0  # the damper sees a predicted velocity
@@ -59,7 +78,7 @@ class LinearlyImplicitMidpoint(Scheme):
 class Midpoint:
     """The scheme for one model and step h [s]; `step` maps (state, tau_m (n,)) to the state h later.
 
-    Numbers and CasADi run through the same lines.
+    Numbers and CasADi run through the same lines, except that expressions are one pass.
     """
 
     def __init__(self, model: FlexibleJointModel, h: float) -> None:
@@ -102,6 +121,13 @@ class Midpoint:
                 "rigid ground takes no motors that several joints share"
                 f" ({model.joints[min(model.grouped)].name}); use ground: compliant"
             )
+        self.rotors = model.zeros(model.nv)
+        for i in model.rigid:
+            self.rotors[joints[i].idx_v] = model.flows[i].drive.B
+        self.conservation = Conservation(model, h)
+        # a single link has no velocity forces; impacts are no sign of a bad prediction
+        self.repeats = model.nv > 1 and not isinstance(model.ground, RigidGround) and not model.groups
+        self.bending = slice(3 if self.conservation.floating else 0, model.nv)  # whatever flies along
         self.rigid_contacts = (
             RigidContacts(model.ground, model.body, [model.flows[i].joint.name for i in self.rubbing], h)
             if isinstance(model.ground, RigidGround)
@@ -109,6 +135,48 @@ class Midpoint:
         )
 
     def step(self, x: State, tau_m: Value) -> State:
+        guess = x.v + self.a * x.acc
+        made = self.one_pass(x, tau_m, x.v, guess)
+        if self.model.symbolic or not self.repeats:
+            return made.end
+        error, scale = self._missed_by(made.v_mid, guess)
+        repeated = not error <= MISSED * scale
+        if repeated:
+            for _ in range(REPEATS):
+                guess, before = made.v_mid, error
+                made = self.one_pass(x, tau_m, guess, guess)
+                error, scale = self._missed_by(made.v_mid, guess)
+                if error <= STAYS * scale or not error <= GROWS * before:
+                    break
+        if error <= MISSED * scale:
+            if not repeated and not self.conservation.free:
+                return made.end
+            v, fits = self._put_right(x, made)
+            if fits:
+                made.end.v = v
+                return made.end
+        still = np.zeros(self.model.nv)
+        made = self.one_pass(x, tau_m, still, still)
+        made.end.v, _ = self._put_right(x, made)
+        return made.end
+
+    def _missed_by(self, v_mid: np.ndarray, guess: np.ndarray) -> tuple[float, float]:
+        """How far a midpoint velocity (nv,) is from its guess, and what that has to be compared with."""
+        bending = self.bending
+        error = float(np.abs(v_mid[bending] - guess[bending]).max())
+        return error, max(float(np.abs(v_mid[bending]).max()), NEGLIGIBLE / (MISSED * self.h))
+
+    def _put_right(self, x: State, made: Pass) -> tuple[np.ndarray, bool]:
+        """The end velocity (nv,) of a pass from x that keeps what is to be kept, and whether it is sound."""
+        keeps, end = self.conservation, made.end
+        passed = 2.0 * made.v_mid - x.v
+        before, after = keeps.totals(x.q, x.v), keeps.totals(end.q, passed)
+        v, fits = keeps.put_right(before, after, end.q, passed, end.v, made.work)
+        return v, bool(fits)
+
+    def one_pass(self, x: State, tau_m: Value, way: Value, guess: Value) -> Pass:
+        """The step with the links' velocity forces at `guess` (nv,), half a step along `way` (nv,); all else
+        at the midpoint that is predicted."""
         model, a = self.model, self.a
         q_mid = model.body.integrate(x.q, a * x.v)
         v_mid = x.v + a * x.acc
@@ -141,16 +209,24 @@ class Midpoint:
         if model.ground is not None and self.rigid_contacts is None:
             touch = model.ground.touch(model.body, q_mid, v_mid, x.z, a)
             tau = tau + touch.tau
+        if way is not x.v:
+            q_mid = model.body.integrate(x.q, a * way)
         blocks = [(model.places(tied.group), tied.block) for tied in groups]
-        accelerate = model.accelerating(q_mid, v_mid, armature, blocks)
-        acc = accelerate(tau)
+        accelerate = model.accelerating(q_mid, guess, armature, blocks)
+        acc, force = accelerate(tau), tau
         if self.rigid_contacts is not None:
             half = self.rigid_contacts.first_half(q_mid, x.v, x.z, acc, armature)
             acc = half.acc
         rubs: list[Rub] = []
         if self.rubbing or self.turning:
             acc, rubs = self._rub(x, accelerate, tau, acc, lines, groups)
-        return self._finish(x, tau_m, acc, c0, c1, lines, groups, rubs, touch, half)
+            force = ops.copy(tau)
+            for i in self.rubbing:
+                place = model.joints[i].idx_v
+                force[place] = force[place] - lines[i].friction
+        v_mid = x.v + a * acc
+        work = self.h * ops.dot(v_mid, force - (armature - self.rotors) * acc)
+        return Pass(self._finish(x, tau_m, acc, c0, c1, lines, groups, rubs, touch, half), v_mid, work)
 
     def _rub(
         self,
@@ -281,6 +357,16 @@ class Midpoint:
                 for slot, value in shaft.flow.advanced(of[shaft.joint], at.z, self.h, shaft.signals(of)):
                     z[slot] = value
         return z
+
+
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """A step's end, its midpoint velocity v_mid (nv,) by the midpoint rule alone, and the work of the torques
+    on the links over it [J]."""
+
+    end: State
+    v_mid: Value
+    work: Value
 
 
 @dataclass(slots=True)

@@ -7,6 +7,7 @@ whether a mode grows.
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 
@@ -16,8 +17,11 @@ from flexjoint.core.errors import StabilityWarning
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.simulation.schemes.base import DEFAULT, Scheme
 from flexjoint.simulation.schemes.catalogue import find
+from flexjoint.simulation.schemes.conservation import Conservation
 from flexjoint.simulation.schemes.modes import linearised
 
+UNDAMPED = 1e-3  # share of critical damping below which a mode rings on
+STILL = 1e-6  # of the fastest mode: a slower one is a free drift and rounding
 ROUNDING = 1e-6  # a free drift is a double eigenvalue of 1: rounding moves it by about the root of 1e-16
 SHORTEST = 1e-7  # [s] of the steps that are tried
 
@@ -73,9 +77,11 @@ def check_stability(model: FlexibleJointModel, x: State, h: float, scheme: str) 
     used = find(scheme)
     _check_contacts(model, x, h, used)
     if used.any_stiffness:
+        _check_ringing(model, x, h, used)
         return
     found = _stability(model, x, h, used)
     if found.stable:
+        _check_ringing(model, x, h, used)
         return
     advice = f"a physics rate of {found.rate:.3g} Hz or more, or " if found.rate is not None else ""
     warnings.warn(
@@ -84,6 +90,30 @@ def check_stability(model: FlexibleJointModel, x: State, h: float, scheme: str) 
         f"{DEFAULT}, which is stable for any stiffness",
         StabilityWarning,
         stacklevel=2,
+    )
+
+
+def _check_ringing(model: FlexibleJointModel, x: State, h: float, scheme: Scheme) -> None:
+    """Warn (StabilityWarning) when a spring that next to nothing damps rings too fast for a stable scheme to
+    keep the energy, or the momentum of what flies freely."""
+    free = Conservation(model, h).free
+    most = min(scheme.keeps_energy, scheme.keeps_momentum if free else math.inf)
+    if math.isinf(most):
+        return
+    values, vectors = np.linalg.eig(linearised(model, x))
+    speeds = np.abs(values)
+    rings = (speeds > 0.0) & (-values.real < UNDAMPED * speeds) & (speeds > STILL * np.max(speeds))
+    fastest = int(np.argmax(np.where(rings, speeds, 0.0)))
+    if not rings[fastest] or speeds[fastest] * h <= most:
+        return
+    what = "energy, or momentum" if free else "energy"
+    advice = f"a physics rate of {speeds[fastest] / most:.3g} Hz or more, or " if most > 0.0 else ""
+    warnings.warn(
+        f"{scheme.name} makes {what} where the spring of joint {_joint(model, x, vectors[:, fastest])} rings,"
+        f" which next to nothing damps, at a physics rate of {1.0 / h:g} Hz (omega h ="
+        f" {speeds[fastest] * h:.3g}); use {advice}{DEFAULT}, which does not",
+        StabilityWarning,
+        stacklevel=4,
     )
 
 
