@@ -1,5 +1,5 @@
 /* The clockwork of flexjoint around generated functions: physics at f_s, controller at f_c by an integer
-   counter, torques held in between, delays by looking rows up. It follows flexjoint/clockwork.py line by
+   counter, torques held in between, delays by looking rows up. It follows flexjoint/simulation/compiled/model.py line by
    line; arithmetic on times and delays is in the same order, so that both take the same branches.
 
    Above: fj_step, generated or of newton.c; generated fj_signals, fj_control, fj_observe and

@@ -6,7 +6,7 @@
    totals), fj_right (before, after, q, passed, end, work, c -> end velocity and whether it is
    sound), FJ_TOTALS, FJ_TURNING, the first
    velocity that counts, FJ_FREE, whether what flies freely is to keep its momentum, FJ_ACC, the place of the
-   accelerations in a state row, FJ_ALONE, whether there is but one velocity, and the sizes FJ_STEP_*. */
+   accelerations in a state row, FJ_ALONE, whether one pass is a step, and the sizes FJ_STEP_*. */
 
 #include <math.h>
 #include <string.h>

@@ -91,7 +91,7 @@ def numbers(layout: DiscreteModel) -> dict[str, float]:
         "FJ_MISSED": midpoint.MISSED,
         "FJ_STAYS": midpoint.STAYS,
         "FJ_LEAST": midpoint.NEGLIGIBLE / (midpoint.MISSED * h),
-        "FJ_ALONE": int(layout.symbolic.model.nv == 1),
+        "FJ_ALONE": int(not midpoint.Midpoint(layout.symbolic.model, h).repeats),
         "FJ_REPEATS": midpoint.REPEATS,
         "FJ_GROWS": midpoint.GROWS,
     }
