@@ -67,6 +67,7 @@ NUMBERS = {  # what a robot has beside effects, and when it does
     "sensing_delay": lambda robot: robot.file.sensing_delay > 0.0,
     "gravity": lambda robot: True,
     "contacts": lambda robot: bool(robot.contacts),
+    "couplings": lambda robot: bool(robot.couplings),
 }
 
 

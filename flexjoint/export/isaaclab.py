@@ -30,6 +30,7 @@ class IsaacLab(Target):
         "sensing_delay": absent("commands alone are delayed there"),
         "gravity": absent("it belongs to the scene"),
         "contacts": BODIES,
+        "couplings": absent("each motor turns one joint there"),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **NOTHING,

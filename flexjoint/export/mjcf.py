@@ -71,6 +71,9 @@ class Mjcf(Target):
         "sensing_delay": absent("it belongs to the control law; delay what that reads"),
         "gravity": exact("option gravity; the base frame is the world's"),
         "contacts": absent("add geoms and a ground"),
+        "couplings": absent(
+            "each motor turns one joint there: inertia and friction that motors share act on one each"
+        ),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         "asymmetric_friction": exact(
@@ -84,6 +87,7 @@ class Mjcf(Target):
         "cable_spring": exact("stiffness and springref of the link's hinge"),
         "cogging": exact(f"cogging of a passive dcmotor ({PASSIVE})"),
         "current_lag": exact("dyntype filter of the actuator"),
+        "coupled_friction": absent("the file's frictions act on one joint each"),
         "dahl_friction": exact(f"lugre of a passive dcmotor, without its damping ({PASSIVE})"),
         "drive_efficiency": absent("MuJoCo's friction knows no load"),
         "encoder_eccentricity": absent("MuJoCo's sensors read true; add it to what you read"),

@@ -31,6 +31,7 @@ class Ros2Control(Target):
         "sensing_delay": DELAY,
         "gravity": BODIES,
         "contacts": BODIES,
+        "couplings": absent("each motor turns one joint there"),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **NOTHING,

@@ -33,6 +33,9 @@ class Sdf(Mounted):
         "sensing_delay": absent("no plugin is written"),
         "gravity": near(f"the base is mounted in the world so that gravity points down z; {READ}"),
         "contacts": absent("no collision shapes are written"),
+        "couplings": absent(
+            "each motor turns one joint there: inertia and friction that motors share act on one each"
+        ),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **NOTHING,

@@ -35,6 +35,9 @@ class Urdf(Mounted):
         "sensing_delay": absent("a URDF has no controller"),
         "gravity": exact("the base is mounted on a link world so that gravity points down z"),
         "contacts": absent("no collision shapes are written"),
+        "couplings": absent(
+            "each motor turns one joint there: inertia and friction that motors share act on one each"
+        ),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **NOTHING,

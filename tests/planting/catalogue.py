@@ -74,14 +74,18 @@ BEYOND: dict[str, Law] = {
     "current_lag": Law("command", ("time_constant",)),
     "joint_coupling": Law("command", ("share",), {"side": "before"}, words={"side": ("before", "after")}),
     "periodic_disturbance": Law("link", ("amplitude", "frequency"), {"phase": 0.0}),
+}
+"""Effects that came later: apart, since the numbers of the study's cases follow the order of CATALOGUE."""
+
+LATER: dict[str, Law] = {
     "coupled_friction": Law(
         "motor", ("level", "coefficient"), {"speed": "sum"}, words={"speed": ("sum", "difference")}
     ),
 }
-"""Effects that came later: apart, since the numbers of the study's cases follow the order of CATALOGUE."""
+"""Effects that came later still: robots drawn at random draw from CATALOGUE and BEYOND."""
 
 TWO_JOINTS = ("joint_coupling", "coupled_friction")
-"""Effects of BEYOND that take a joint and one beside it."""
+"""Effects that take a joint and one beside it."""
 
 _SIDE = {"side": ("before", "after")}
 _POSITION = {"channel": ("q", "theta")}
@@ -145,9 +149,9 @@ WITH_STATE = ("spring_hysteresis", "dahl_friction", "breakaway_friction", "sprin
 
 def law(effect: str) -> Law:
     """The law of an effect; raises ValueError when there is none."""
-    found = CATALOGUE.get(effect) or BEYOND.get(effect) or OUTSIDE.get(effect)
+    found = CATALOGUE.get(effect) or BEYOND.get(effect) or LATER.get(effect) or OUTSIDE.get(effect)
     if found is None:
-        known = ", ".join((*CATALOGUE, *BEYOND, *OUTSIDE))
+        known = ", ".join((*CATALOGUE, *BEYOND, *LATER, *OUTSIDE))
         raise ValueError(f"unknown effect {effect!r}; there are {known}")
     return found
 

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from .catalogue import BEYOND, Planted
+from .catalogue import BEYOND, LATER, Planted
 from .robots import Robot, read_robot, robot_file
 
 SLOW_EFFECTS = (
@@ -91,10 +91,10 @@ def usual_effect(
     if effect == "payload":
         place = [rounded(1.3 * c) for c in reach]
         return Planted(effect, joint, {"mass": rounded(0.3 * r.bodies[j].mass * s), "position": place}, since)
-    if effect in BEYOND and effect not in MET_EFFECTS:
+    if effect in (*BEYOND, *LATER) and effect not in MET_EFFECTS:
         return _beyond(effect, r, joint, s, sign, phase, rng, since)
     if effect not in parameters:
-        known = (*parameters, "payload", *(name for name in BEYOND if name not in MET_EFFECTS))
+        known = (*parameters, "payload", *(name for name in (*BEYOND, *LATER) if name not in MET_EFFECTS))
         raise ValueError(f"no usual size for {effect!r}; there is one for {', '.join(known)}")
     values: dict[str, object] = {name: rounded(value) for name, value in parameters[effect].items()}
     if effect == "encoder_eccentricity":

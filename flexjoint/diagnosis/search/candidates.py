@@ -106,6 +106,8 @@ def visible(problem: Problem, candidate: Candidate) -> bool:
         return True
     i = problem.robot.joint_names.index(joint)
     rigid = problem.robot.joints[i].rigid
+    if effect.reaches_before and (i == 0 or problem.robot.joints[i - 1].rigid != rigid):
+        return False
     rows = {row.balance for row in problem.balances.rows if row.joint == i}
     if effect.site is Site.SENSOR:
         return _sensed(problem, candidate, i, rows)
@@ -144,11 +146,12 @@ def _sensed(problem: Problem, candidate: Candidate, i: int, rows: set[str]) -> b
 
 def may_replace(candidate: Candidate, e: Planned) -> bool:
     """Whether a candidate can take the place of an effect. An effect that acts within a joint changes the
-    balances of that joint alone: only candidates of that joint, of the robot, or of a body can explain
-    that."""
+    balances of that joint alone: only candidates of that joint, of the robot, or that act on other joints
+    than their own (a body, a shaft that two joints share) can explain that."""
     if not acts_within_a_joint(e):
         return True
-    return candidate.joint in (e.joint, None) or candidate.effect.site is Site.BODY
+    beyond = candidate.effect.site is Site.BODY or candidate.effect.reaches_before
+    return candidate.joint in (e.joint, None) or beyond
 
 
 def _moves(problem: Problem, i: int) -> bool:

@@ -167,9 +167,12 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
     if shared_by_tolerances(trial, without, added) or _between_samples(trial, added):
         return False
     gained = explained(trial, without, added)
-    left = unexplained_energy(trial, added.joint if acts_within_a_joint(added) else None)
+    limits = trial.settings.search
+    least = limits.unexplained_share * unexplained_energy(trial)
+    if acts_within_a_joint(added):
+        least = min(least, limits.joint_share * unexplained_energy(trial, added.joint))
     paid = price(trial) - price(without)
-    if gained - paid < trial.settings.search.unexplained_share * left:
+    if gained - paid < least:
         return False
     beside = _sharing_balances(trial, added)
     if beside:

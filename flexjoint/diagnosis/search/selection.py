@@ -31,6 +31,7 @@ from flexjoint.diagnosis.search.trials import (
     at_noise,
     beside_rivals,
     date_onset,
+    far_off,
     larger_sets,
     on_all_joints,
     polish,
@@ -174,16 +175,17 @@ def _grown(
 
 
 def _with_other_joints(best: Fit, grown: Fit, found: Larger) -> Fit:
-    """The set with the best cause within each other joint as well: one round serves all joints, as a cause
-    that acts within its joint does not replace one on another joint. Where a load explains most, which acts
-    on many joints, nothing is added to it."""
-    added = grown.effects[-1]
+    """The set with the best cause within each other joint that is still wrong as well: one round serves all
+    joints, as a cause that acts within its joint does not replace one on another joint. Where a load explains
+    most, which acts on many joints, nothing is added to it."""
+    added, wrong = grown.effects[-1], far_off(grown)
     if not acts_within_a_joint(added):
         return grown
     others = [
         trial.effects[-1]
         for own in found.of_joints
-        if own[0].effects[-1].joint != added.joint and (trial := _best_at_own_level(best, own)) is not None
+        if own and own[0].effects[-1].joint != added.joint and own[0].effects[-1].joint in wrong
+        if (trial := _best_at_own_level(best, [f for f in own if f.effects[-1].since is None])) is not None
     ]
     return at_own_level(fit(grown.problem, [*grown.effects, *others])) if others else grown
 

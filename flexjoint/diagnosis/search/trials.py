@@ -189,11 +189,7 @@ def beside_rivals(
     rival takes the place of the effect, and the effect is looked for again beside it. If the rival is a
     special case of the effect, or fits as well as it, all other candidates on the joint are tried beside the
     rival, too (Coulomb friction and an offset instead of a friction with two levels)."""
-    problem = best.problem
-    wrong = problem.level.inflation / problem.level.implausibility > best.settings.search.wrong
-    joints = {row.joint for row, bad in zip(problem.balances.rows, wrong, strict=True) if bad}
-    names = {problem.robot.joint_names[joint] for joint in joints}
-    tasks = []
+    names, tasks = _joints(best, best.problem.level.inflation / best.problem.level.implausibility), []
     for effect, fits in zip(best.effects, rivals, strict=True):
         if not names or (acts_within_a_joint(effect) and effect.joint not in names):
             continue
@@ -294,16 +290,29 @@ def _astray(value: float, looked: Sequence[float], factor: float) -> bool:
 
 
 def promising(current: Fit, scanned: Sequence[Scored]) -> list[Scored]:
-    """The candidates that deserve a full fit: of each joint, those whose gain to first order is near that of
-    its best one, and whose torque may be large enough to be named. A joint's error is not held against that
-    of another one: on a real machine every joint has one."""
-    by_joint: dict[str | None, list[Scored]] = {}
-    for scored in scanned:  # the best first
-        by_joint.setdefault(scored.candidate.joint, []).append(scored)
-    limits, out = current.settings.search, []
-    for k, own in enumerate(by_joint.values()):
-        out += _nearest(current, own, 0.0, limits.polished if k == 0 else limits.polished_beside)
+    """The candidates that deserve a full fit: those whose gain to first order is near that of the best one,
+    and, on each joint that is wrong, those without an onset near its own best one, as on a real machine every
+    joint has an error; and whose torque may be large enough to be named."""
+    limits = current.settings.search
+    out = _nearest(current, scanned, 0.0, limits.polished)
+    for joint in far_off(current):
+        own = [one for one in scanned if one.candidate.joint == joint and one.since is None]
+        out += [one for one in _nearest(current, own, 0.0, limits.polished_beside) if one not in out]
     return out
+
+
+def far_off(result: Fit) -> list[str]:
+    """The joints in whose balances many times the noise is left, sample by sample: what varies slowly may be
+    wrong by less."""
+    rest = result.problem.rest(result.y).reshape(len(result.problem.balances.rows), -1)
+    return _joints(result, np.mean(rest**2, axis=1))
+
+
+def _joints(result: Fit, variances: np.ndarray) -> list[str]:
+    """The joints of balances (rows,) with such a variance that they are wrong."""
+    problem, wrong = result.problem, variances > result.settings.search.wrong
+    joints = {row.joint for row, bad in zip(problem.balances.rows, wrong, strict=True) if bad}
+    return [problem.robot.joint_names[joint] for joint in sorted(joints)]
 
 
 def alternatives(current: Fit, scanned: Sequence[Scored], needed: float) -> list[Scored]:

@@ -34,22 +34,26 @@ def expected_seconds(robot: Robot, recordings: Sequence[Recording], workers: int
     return SECONDS * min(size, most_samples(robot)) / workers
 
 
-def most_samples(robot: Robot, seconds: float = math.inf, largest: int = LARGEST) -> int:
+def most_samples(robot: Robot, seconds: float = math.inf, largest: int | None = None) -> int:
     """Samples times joints that a search can take, in a time [s] on one processor."""
     joints = len(robot.joints)
-    return int(min(largest / max(1.0, joints / MANY), max(LEAST, seconds / SECONDS)))
+    return int(
+        min(
+            (LARGEST if largest is None else largest) / max(1.0, joints / MANY), max(LEAST, seconds / SECONDS)
+        )
+    )
 
 
 def excerpts(
     robot: Robot,
     recordings: Sequence[Recording],
     seconds: float = math.inf,
-    largest: int = LARGEST,
+    largest: int | None = None,
     work: str = "one search",
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """The recordings as they are examined, and notes about what was repaired, left out or cut. Together they
-    are no larger than the work can take (`largest` samples times joints), and than a search takes in the
-    `seconds` that are allowed for it.
+    are no larger than the work can take (`largest` samples times joints, LARGEST by default), and than a
+    search takes in the `seconds` that are allowed for it.
 
     Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.channels`)."""
     recordings = [inspected(robot, without_pauses(recording)) for recording in recordings]

@@ -116,10 +116,10 @@ def test_an_onset_is_found_in_a_few_fits(monkeypatch: pytest.MonkeyPatch) -> Non
     begun = fitted(Case("turret", "rich", 3, inexact=0.02), late, assumed=(guess,))
     count = 0
 
-    def counted(*given: object) -> Fit:
+    def counted(*given: object, **named: object) -> Fit:
         nonlocal count
         count += 1
-        return fit(*given)  # type: ignore[arg-type]
+        return fit(*given, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(trials, "fit", counted)
     dated = date_onset(begun)

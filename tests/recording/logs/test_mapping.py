@@ -61,7 +61,7 @@ def test_an_unreadable_mapping_is_refused(tmp_path: Path, text: bytes | None, sa
 
 def test_the_mapping_of_the_page_is_one_and_the_page_names_every_key(tmp_path: Path) -> None:
     page = DOCS / "formats.md"
-    example, _ = blocks(page, "yaml")  # the other one is a robot
+    example, *_ = blocks(page, "yaml")  # the others are robots
     (tmp_path / "map.yaml").write_text(example)
     assert mapping.read(tmp_path / "map.yaml").channels
     text = page.read_text(encoding="utf-8")
