@@ -368,12 +368,6 @@ class SearchSettings(Stage):
         "that a cause, or a finer law, must explain at least, and by which ties may differ",
         "judgement",
     )
-    joint_share: float = number(
-        0.1,
-        "share of the unexplained energy of its joint",
-        "that suffices, too: where other joints are wrong, a small one's cause is little of all that is left",
-        "machine: TX40, friction of six joints",
-    )
     # --- the method's own error
     method_error: float = number(
         1e-3,
@@ -491,7 +485,6 @@ class SearchSettings(Stage):
     )
     most_amplitude: float = number(1.5, "times its start", "to which a scan lets an effect grow", "judgement")
     polished: int = number(8, "candidates", "that are fitted in full at each step", "judgement")
-    polished_beside: int = number(4, "candidates", "of every joint that is wrong, likewise", "judgement")
     promising: float = number(
         0.3, "share of the best gain", "that they must show to first order", "judgement"
     )

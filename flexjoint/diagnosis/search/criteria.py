@@ -13,15 +13,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, fit, held_beside, refit_without, shifts
+from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.effects import Kind, Parameter, Planned, Site
 from flexjoint.rigidbody.numeric import inertial_of
 
 LEVEL_ROUNDS = 5  # fits at most, each at the noise level that the last one left, until
-FEW = 6  # iterations of a fit whose energy is only compared with a far larger one
 SAME_LEVEL = 0.1  # the logarithm of the level changes by less than this
 
 
@@ -49,27 +47,18 @@ def score(result: Fit) -> float:
     return result.energy + price(result) + (reconstructed + chance) * len(result.effects)
 
 
-def unexplained_energy(result: Fit, joint: str | None = None) -> float:
-    """Energy above that of the predicted noise, in all balances or in those of a joint: on a real machine
-    each joint has its own error."""
-    problem = result.problem
-    if joint is None:
-        return max(0.0, result.energy - problem.noise_energy)
-    own = [problem.robot.joints[row.joint].name == joint for row in problem.balances.rows]
-    left = (problem.rest(result.y) * problem.weights).reshape(len(own), -1)[own]
-    noise = problem.freedom / len(own) * np.sum(1.0 / problem.level.inflation[own])
-    return max(0.0, float(np.sum(left**2) - noise))
+def unexplained_energy(result: Fit) -> float:
+    """Energy above that of the predicted noise."""
+    return max(0.0, result.energy - result.problem.noise_energy)
 
 
-def at_own_level(result: Fit, tried: Planned | None = None) -> Fit:
-    """The set fitted again at the noise level that it leaves itself. Where one of its effects is `tried`,
-    those that share no balance with it keep their numbers."""
+def at_own_level(result: Fit) -> Fit:
+    """The set fitted again at the noise level that it leaves itself."""
     for _ in range(LEVEL_ROUNDS):
         last = result.problem
         problem = last.at(last.plausible_level(result.y))
         change = np.abs(np.log(problem.level.inflation / last.level.inflation))
-        held = () if tried is None else held_beside(result.effects, tried)
-        result = fit(problem, result.effects, held=held)
+        result = fit(problem, result.effects)
         if np.all(change < SAME_LEVEL):
             break
     return result
@@ -166,25 +155,16 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
         return False
     if shared_by_tolerances(trial, without, added) or _between_samples(trial, added):
         return False
-    gained = explained(trial, without, added)
-    limits = trial.settings.search
-    least = limits.unexplained_share * unexplained_energy(trial)
-    if acts_within_a_joint(added):
-        least = min(least, limits.joint_share * unexplained_energy(trial, added.joint))
+    gained, left = explained(trial, without, added), unexplained_energy(trial)
     paid = price(trial) - price(without)
-    if gained - paid < least:
+    if gained - paid < trial.settings.search.unexplained_share * left:
         return False
     beside = _sharing_balances(trial, added)
     if beside:
         # what the other causes on the joint explain is known only up to the error of the method, and a new
         # effect may fit that error; one that leaves next to nothing does not
-        others = [e for e in trial.effects if e not in beside]
-        least, held = gained / _method_error(trial, gained), held_beside(others, added)
-        for iterations in (0, FEW):  # most often all is clear before they are fitted again
-            alone = fit(trial.problem, others, iterations, held)
-            if least >= alone.energy - trial.energy:
-                break
-        else:
+        alone = fit(trial.problem, [e for e in trial.effects if e not in beside])
+        if gained < _method_error(trial, gained) * (alone.energy - trial.energy):
             return False
     if contradicted(trial, without):
         return False

@@ -27,11 +27,9 @@ from flexjoint.diagnosis.search.criteria import (
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.scan import Scanner, Scored
 from flexjoint.diagnosis.search.trials import (
-    Larger,
     at_noise,
     beside_rivals,
     date_onset,
-    far_off,
     larger_sets,
     on_all_joints,
     polish,
@@ -143,21 +141,17 @@ def _grown(
 ) -> Fit:
     """The set with causes added one by one, as long as the data support another one; sets that were `seen`
     are not tried again."""
-    done: frozenset[str | None] = frozenset()  # joints on which nothing was found since they changed
     while len(best.effects) < most_effects(best.problem) and not search.budget.spent:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
         scans.append(both[0])
-        found = larger_sets(best, both, bare, search.pool, done)
-        if not found.every and done:
-            found, done = larger_sets(best, both, bare, search.pool), frozenset()
-        if not found.every:
-            found = Larger(on_all_joints(best, search.scanner.candidates))
-        grown = _best_at_own_level(best, found.every)
+        found = larger_sets(best, both, bare, search.pool)
+        found = found or on_all_joints(best, search.scanner.candidates)
+        grown = _best_at_own_level(best, found)
         if grown is None:
             break
-        grown = _with_other_joints(best, grown, found)
+        grown = _with_other_joints(grown, found)
         before, best = best, prune(grown)
         if _keys(best) in seen:  # it would lead there again
             return before
@@ -166,28 +160,29 @@ def _grown(
         trace += steps_between(grown, best, STAGE, "price", why)
         seen.add(_keys(best))
         newest = {e.joint for e in best.effects if e.key not in _keys(before)}
-        helped = {f.effects[-1].joint for f in found.every} | newest
-        done = frozenset((done | {*best.problem.robot.joint_names}) - helped)
         older = [e for e in best.effects if e.joint in newest and e.key in _keys(before)]
         before, (best, _) = best, exchange(search, best, older)
         trace += _exchanged(before, best)
     return best
 
 
-def _with_other_joints(best: Fit, grown: Fit, found: Larger) -> Fit:
-    """The set with the best cause within each other joint that is still wrong as well: one round serves all
-    joints, as a cause that acts within its joint does not replace one on another joint. Where a load explains
-    most, which acts on many joints, nothing is added to it."""
-    added, wrong = grown.effects[-1], far_off(grown)
-    if not acts_within_a_joint(added):
+def _with_other_joints(grown: Fit, found: Sequence[Fit]) -> Fit:
+    """The set with the best of the other sets' causes on each other joint as well: one round serves all
+    joints, as a cause that acts within its joint does not replace one on another joint. A load acts on many
+    joints: as long as a set with a load is among those found, causes enter one by one."""
+    newest = [f.effects[-1] for f in found]
+    if not all(acts_within_a_joint(e) for e in newest):
         return grown
-    others = [
-        trial.effects[-1]
-        for own in found.of_joints
-        if own and own[0].effects[-1].joint != added.joint and own[0].effects[-1].joint in wrong
-        if (trial := _best_at_own_level(best, [f for f in own if f.effects[-1].since is None])) is not None
-    ]
-    return at_own_level(fit(grown.problem, [*grown.effects, *others])) if others else grown
+    joints = {grown.effects[-1].joint}
+    others: list[Planned] = []
+    for trial in sorted(found, key=score):
+        e = trial.effects[-1]
+        if e.joint not in joints:
+            joints.add(e.joint)
+            others.append(e)
+    if not others:
+        return grown
+    return at_own_level(fit(grown.problem, [*grown.effects, *others]))
 
 
 def _exchanged(before: Fit, after: Fit) -> tuple[Step, ...]:

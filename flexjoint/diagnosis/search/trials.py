@@ -4,14 +4,14 @@ leave. A pool of processes shares the work."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from flexjoint.core.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, held_beside
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
@@ -38,32 +38,17 @@ def at_noise(best: Fit) -> Fit | None:
     return fit(problem.at(NoiseLevel.predicted(len(problem.balances.rows))), best.effects)
 
 
-@dataclass(frozen=True)
-class Larger:
-    """Sets of one more effect: all of them at the same noise level, and, for each joint, those with another
-    cause within it, at a level of their own. On a real machine every joint has an error, and the noise level
-    that the error of one leaves says nothing of the others."""
-
-    every: Sequence[Fit]
-    of_joints: Sequence[Sequence[Fit]] = ()
-
-
 def larger_sets(
-    best: Fit,
-    scanned: Sequence[Sequence[Scored]],
-    bare: Fit | None,
-    pool: WorkerPool,
-    done: Collection[str | None] = (),
-) -> Larger:
-    """Sets of one more effect that are better than `best`. `scanned` holds the scan of `best` and, where
-    there is one, that of `bare`, the same set at the level of the predicted noise. Joints that are `done` are
-    left out.
+    best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, pool: WorkerPool
+) -> list[Fit]:
+    """Sets of one more effect that are better than `best`, all fitted at the same noise level. `scanned`
+    holds the scan of `best` and, where there is one, that of `bare`, the same set at the level of the
+    predicted noise.
 
     The noise level of `best` may be so high that no cause improves the set visibly, not even one that leaves
     a tenth of the variance in the wrong balances, or after which no nominal number is implausible. Such sets
     are therefore judged at the level that they leave themselves, and candidates are also taken from the scan
     of `bare`."""
-    scanned = [[one for one in scan if one.candidate.joint not in done] for scan in scanned]
     scored = promising(best, scanned[0])
     judged = pool.map(_judged, [(evaluated(best), one) for one in scored])
     found = [f for f, better in judged if f is not None and better]
@@ -79,19 +64,8 @@ def larger_sets(
         others = [s for s in promising(bare, scanned[1]) if (s.candidate, s.since) not in known]
         trials = pool.map(_clearer, [(best, bare, f) for f in trials])
         trials += [f for f in pool.map(_added, [(bare, one) for one in others]) if f is not None]
-        for group in _by_joint(trials):
-            found += clearing(best, group, bare, pool)
-    within = [f for f in found if acts_within_a_joint(f.effects[-1])]
-    return Larger(on_one_level(found, pool), [on_one_level(group, pool) for group in _by_joint(within)])
-
-
-def _by_joint(fits: Sequence[Fit]) -> list[list[Fit]]:
-    """Sets in groups: those with another cause within each joint, and all others."""
-    groups: dict[str | None, list[Fit]] = {}
-    for one in fits:
-        added = one.effects[-1]
-        groups.setdefault(added.joint if acts_within_a_joint(added) else None, []).append(one)
-    return list(groups.values())
+        found += clearing(best, trials, bare, pool)
+    return on_one_level(found, pool)
 
 
 def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
@@ -109,7 +83,7 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
     levels = bare.problem.variances(above.y)
     if not np.any(levels[marked] > above.settings.regression.noise_decides):
         return above
-    below = fit(bare.problem, above.effects, held=held_beside(above.effects[:-1], above.effects[-1]))
+    below = fit(bare.problem, above.effects)
     if degenerate(below.problem, below.effects[-1]):
         return above
     lower = _cleared(best, bare.problem.variances(below.y), marked) > _cleared(best, levels, marked)
@@ -189,7 +163,11 @@ def beside_rivals(
     rival takes the place of the effect, and the effect is looked for again beside it. If the rival is a
     special case of the effect, or fits as well as it, all other candidates on the joint are tried beside the
     rival, too (Coulomb friction and an offset instead of a friction with two levels)."""
-    names, tasks = _joints(best, best.problem.level.inflation / best.problem.level.implausibility), []
+    problem = best.problem
+    wrong = problem.level.inflation / problem.level.implausibility > best.settings.search.wrong
+    joints = {row.joint for row, bad in zip(problem.balances.rows, wrong, strict=True) if bad}
+    names = {problem.robot.joint_names[joint] for joint in joints}
+    tasks = []
     for effect, fits in zip(best.effects, rivals, strict=True):
         if not names or (acts_within_a_joint(effect) and effect.joint not in names):
             continue
@@ -234,7 +212,7 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     """A set of one more effect than `best` at the noise level that it leaves, if the data support it there
     and if that level is clearly lower, or no nominal number is implausible any more."""
     best, trial = task
-    refitted = at_own_level(trial, trial.effects[-1])
+    refitted = at_own_level(trial)
     relieved = best.problem.level.implausibility > 1.0 and refitted.problem.level.implausibility <= 1.0
     # the part of the inflation that both sets need for implausible numbers has another cause than this one
     levels = refitted.problem.level.inflation / min(
@@ -289,49 +267,20 @@ def _astray(value: float, looked: Sequence[float], factor: float) -> bool:
     return bool(looked) and not min(looked) / factor <= value <= max(looked) * factor
 
 
-def promising(current: Fit, scanned: Sequence[Scored]) -> list[Scored]:
-    """The candidates that deserve a full fit: those whose gain to first order is near that of the best one,
-    and, on each joint that is wrong, those without an onset near its own best one, as on a real machine every
-    joint has an error; and whose torque may be large enough to be named."""
-    limits = current.settings.search
-    out = _nearest(current, scanned, 0.0, limits.polished)
-    for joint in far_off(current):
-        own = [one for one in scanned if one.candidate.joint == joint and one.since is None]
-        out += [one for one in _nearest(current, own, 0.0, limits.polished_beside) if one not in out]
-    return out
-
-
-def far_off(result: Fit) -> list[str]:
-    """The joints in whose balances many times the noise is left, sample by sample: what varies slowly may be
-    wrong by less."""
-    rest = result.problem.rest(result.y).reshape(len(result.problem.balances.rows), -1)
-    return _joints(result, np.mean(rest**2, axis=1))
-
-
-def _joints(result: Fit, variances: np.ndarray) -> list[str]:
-    """The joints of balances (rows,) with such a variance that they are wrong."""
-    problem, wrong = result.problem, variances > result.settings.search.wrong
-    joints = {row.joint for row, bad in zip(problem.balances.rows, wrong, strict=True) if bad}
-    return [problem.robot.joint_names[joint] for joint in sorted(joints)]
-
-
-def alternatives(current: Fit, scanned: Sequence[Scored], needed: float) -> list[Scored]:
-    """The candidates for the place of an effect that deserve a full fit: those whose gain to first order is
-    near that of the best one, and near the energy that is needed."""
-    return _nearest(current, scanned, needed, current.settings.search.alternatives)
-
-
-def _nearest(current: Fit, scanned: Sequence[Scored], needed: float, count: int) -> list[Scored]:
+def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
+    """The candidates that deserve a full fit: their gain to first order is near that of the best one, and
+    near the energy that a rival needs (`needed`), and their torque may be large enough to be named."""
     limits = current.settings.search
     joints = Counter(e.joint for e in current.effects)
-    free = [
+    scanned = [
         s for s in scanned if s.candidate.joint is None or joints[s.candidate.joint] < limits.most_on_joint
     ]
-    if not free:
+    if not scanned:
         return []
-    most = free[0].removes  # to first order, which may be less than `needed`
+    most = scanned[0].removes  # to first order, which may be less than `needed`
     enough = max(limits.promising * most, limits.alternative_share * min(needed, most), limits.chance)
-    near = [scored for scored in free[:count] if scored.removes >= enough]
+    count = limits.alternatives if needed > 0.0 else limits.polished
+    near = [scored for scored in scanned[:count] if scored.removes >= enough]
     return [scored for scored in near if might_matter(current, scored)]
 
 
@@ -349,7 +298,7 @@ def might_matter(current: Fit, scored: Scored) -> bool:
 
 def polish(current: Fit, scanned: Sequence[Scored], needed: float, pool: WorkerPool) -> list[Fit]:
     """The most promising candidates fitted together with the current set, and dated."""
-    fits = pool.map(_polished, [(current, scored) for scored in alternatives(current, scanned, needed)])
+    fits = pool.map(_polished, [(current, scored) for scored in promising(current, scanned, needed)])
     return [f for f in fits if f is not None]
 
 
@@ -363,11 +312,9 @@ def _added(task: tuple[Fit, Scored]) -> Fit | None:
 
 
 def added_to(current: Fit, scored: Scored) -> Fit | None:
-    """A set with a candidate added, fitted and dated, causes within other joints as they are; None where its
-    fitted numbers mean nothing (`degenerate`)."""
-    planned = scored.planned()
-    held = held_beside(current.effects, planned)
-    fitted = date_onset(fit(current.problem, [*current.effects, planned], held=held))
+    """A set with a candidate added, fitted and dated; None where its fitted numbers mean nothing
+    (`degenerate`)."""
+    fitted = date_onset(fit(current.problem, [*current.effects, scored.planned()]))
     return None if degenerate(current.problem, fitted.effects[-1]) else fitted
 
 
@@ -378,13 +325,11 @@ def date_onset(result: Fit) -> Fit:
     if added.since is None:
         return result
     problem, limits = result.problem, result.settings.search
-    held = held_beside(result.effects[:-1], added)
-    always = fit(problem, [*result.effects[:-1], replace(added, since=None)], held=held)
+    always = fit(problem, [*result.effects[:-1], replace(added, since=None)])
     for steps in limits.onset_steps:
         moved = _moved_onset(result, steps)
         if moved != result.effects[-1].since:
-            later = replace(result.effects[-1], since=moved)
-            trial = fit(problem, [*result.effects[:-1], later], held=held)
+            trial = fit(problem, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
             if trial.energy < result.energy:
                 result = trial
     end, since = float(problem.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
