@@ -189,7 +189,7 @@ def _signal(run: fj.Recording, name: str, joint: str, joints: tuple[str, ...]) -
 
 
 def _robot(effect: Effect) -> tuple[fj.Robot, str]:
-    name, joint = TWO if effect.name == "joint_coupling" else ONE
+    name, joint = TWO if effect.name == "joint_coupling" or effect.reaches_before else ONE
     robot = _loaded(name)
     return robot, joint or robot.joint_names[-1]
 

@@ -93,7 +93,7 @@ def scheme_limits(
         with warnings.catch_warnings():  # a refusal or a warning, it says that the scheme diverges
             warnings.simplefilter("error")
             try:
-                check_stability(stiff(factor), state, step, scheme)
+                check_stability(stiff(factor), state, step, scheme, ringing=False)
             except (SimulationError, Warning):
                 return False
         return True

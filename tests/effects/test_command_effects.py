@@ -173,6 +173,7 @@ def test_other_schemes_come_to_the_same(scheme: str) -> None:
     np.testing.assert_allclose(other.q[-1], default.q[-1], atol=1e-3 if "euler" in scheme else 2e-6)
 
 
+@pytest.mark.usefixtures("one_pass")  # as an expression
 def test_the_symbolic_step_is_the_same() -> None:
     model = FlexibleJointModel(make(PLANAR), [lag("hip", 0.02), *couplings(0.3)])
     symbolic = SymbolicModel(model.robot.extended(model.effects))

@@ -81,6 +81,7 @@ def test_what_a_command_effect_changes_is_the_motors_torque(rigid: bool) -> None
     np.testing.assert_allclose(one.ddtheta, other.ddtheta, rtol=1e-10)
 
 
+@pytest.mark.usefixtures("one_pass")  # as steps of coupled motors are
 @pytest.mark.parametrize("rigid", [True, False])
 def test_the_matrix_one_is_no_coupling(rigid: bool) -> None:
     effects = [effect("motor_viscous_friction", name, coefficient=0.5) for name in ("roll", "pitch")]

@@ -100,6 +100,7 @@ def differentiated() -> Run:
 
 
 # --------------------------------------------------------------------------- sensitivities
+@pytest.mark.usefixtures("one_pass")  # as windows are stepped
 def test_the_windows_run_as_the_simulation_does() -> None:
     symbolic, _ = stepped()
     inputs = moving()
