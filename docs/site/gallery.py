@@ -20,7 +20,7 @@ from flexjoint_benchmark.planting.sizes import usual_effect
 from matplotlib.figure import Figure
 
 import flexjoint as fj
-from flexjoint.cli.effects import SITES, summary
+from flexjoint.cli.robots.effects import SITES, summary
 from flexjoint.diagnosis.result.wording import effect_name, unit_of
 from flexjoint.effects import Effect, Site
 from flexjoint.report.plots import AFTER, BEFORE, STYLE

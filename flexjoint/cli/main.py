@@ -14,9 +14,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from flexjoint.cli import options, streams, view
+from flexjoint.cli import options, streams
 from flexjoint.cli.interrupts import INTERRUPTED, end_now, ended_at_once
 from flexjoint.cli.paper import command as paper
+from flexjoint.cli.simulation import view
 from flexjoint.core.errors import FlexJointError
 
 UNUSABLE = 2
@@ -99,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
     options.add_engine(compare)
     options.add_budget(compare)
     compare.add_argument("--json", type=Path, metavar="OUT.json", help="write the errors as JSON")
-    compare.set_defaults(run=_lazily("compare"))
+    compare.set_defaults(run=_lazily("diagnosis.compare"))
 
     simulate = commands.add_parser("simulate", help="simulate a robot along a reference")
     options.add_robot(simulate)
@@ -115,7 +116,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     options.add_engine(simulate)
     options.add_budget(simulate)
-    simulate.set_defaults(run=_lazily("simulate"))
+    simulate.set_defaults(run=_lazily("simulation.simulate"))
 
     _add_theta_d(commands)
     view.add(commands)
@@ -125,21 +126,21 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = commands.add_parser("demo", help="diagnose a real robot's recording that comes with flexjoint")
     demo.add_argument("--out", type=Path, default=Path("flexjoint-demo"), metavar="FOLDER")
-    demo.set_defaults(run=_lazily("demo"))
+    demo.set_defaults(run=_lazily("diagnosis.demo"))
 
     robots = commands.add_parser("robots", help="list the robots that come with flexjoint")
-    robots.set_defaults(run=_lazily("robots"))
+    robots.set_defaults(run=_lazily("robots.robots"))
 
     effects = commands.add_parser("effects", help="list the physical effects it knows")
     effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
-    effects.set_defaults(run=_lazily("effects"))
+    effects.set_defaults(run=_lazily("robots.effects"))
 
     schema = commands.add_parser("schema", help="print the JSON schema of what a command writes")
     schema.add_argument("name", nargs="?", metavar="NAME", help="without one, the names")
-    schema.set_defaults(run=_lazily("schema"))
+    schema.set_defaults(run=_lazily("programs.schema"))
 
     serve = commands.add_parser("mcp", help="serve programs that call tools, over stdio (docs/programs.md)")
-    serve.set_defaults(run=_lazily("serve"))
+    serve.set_defaults(run=_lazily("programs.serve"))
 
     paper.add(commands)
     _add_benchmark(commands)
@@ -178,7 +179,7 @@ def _add_diagnose(commands: Any) -> None:
         help="go on with data whose signs, zeros, units or names cannot be right",
     )
     options.add_budget(diagnose)
-    diagnose.set_defaults(run=_lazily("diagnose"))
+    diagnose.set_defaults(run=_lazily("diagnosis.diagnose"))
 
 
 def _add_check(commands: Any) -> None:
@@ -197,7 +198,7 @@ def _add_check(commands: Any) -> None:
     options.add_mapping(check)
     check.add_argument("--json", type=Path, metavar="OUT.json", help="write the check as JSON")
     check.add_argument("--quiet", action="store_true", help="print nothing")
-    check.set_defaults(run=_lazily("check"))
+    check.set_defaults(run=_lazily("diagnosis.check"))
 
 
 def _add_fleet(commands: Any) -> None:
@@ -212,7 +213,7 @@ def _add_fleet(commands: Any) -> None:
     fleet.add_argument("--workers", type=int, metavar="N", help="local processes, default one per core")
     fleet.add_argument("--scheduler", metavar="tcp://...", help="of a Dask cluster that does the work")
     fleet.add_argument("--quiet", action="store_true", help="print nothing")
-    fleet.set_defaults(run=_lazily("fleet"))
+    fleet.set_defaults(run=_lazily("diagnosis.fleet"))
 
 
 def _add_check_data(commands: Any) -> None:
@@ -224,7 +225,7 @@ def _add_check_data(commands: Any) -> None:
         "--out", type=Path, metavar="REC", help="write the repaired recording (.csv or .parquet)"
     )
     data.add_argument("--json", type=Path, metavar="OUT.json", help="write the findings as JSON")
-    data.set_defaults(run=_lazily("check_data"))
+    data.set_defaults(run=_lazily("recordings.check_data"))
 
 
 def _add_init(commands: Any) -> None:
@@ -239,7 +240,7 @@ def _add_init(commands: Any) -> None:
     init.add_argument("--rigid", action="store_true", help="say nothing of springs: all joints are rigid")
     init.add_argument("--force", action="store_true", help="write over a robot file that is there")
     options.add_log(init)
-    init.set_defaults(run=_lazily("init"))
+    init.set_defaults(run=_lazily("robots.init"))
 
 
 def _add_import(commands: Any) -> None:
@@ -249,7 +250,7 @@ def _add_import(commands: Any) -> None:
     log.add_argument("--signals", action="store_true", help="list what the log holds, and write nothing")
     log.add_argument("--robot", metavar="R.yaml", help="names of joints, gear ratios, and a check against it")
     options.add_log(log)
-    log.set_defaults(run=_lazily("import_log"))
+    log.set_defaults(run=_lazily("recordings.import_log"))
 
 
 def _add_theta_d(commands: Any) -> None:
@@ -267,7 +268,7 @@ def _add_theta_d(commands: Any) -> None:
     theta_d.add_argument("--path", action="store_true", help="poses are a slow path: hysteresis remembers")
     theta_d.add_argument("--max-deflection", type=float, metavar="RAD", help="largest theta - q to accept")
     theta_d.add_argument("--details", action="store_true", help="write g.<joint> and phi.<joint>, too")
-    theta_d.set_defaults(run=_lazily("theta_d"))
+    theta_d.set_defaults(run=_lazily("simulation.theta_d"))
 
 
 def _add_plan(commands: Any) -> None:
@@ -282,7 +283,7 @@ def _add_plan(commands: Any) -> None:
     plan.add_argument("--speed", type=float, help="rad/s at most, default the URDF's limit")
     plan.add_argument("--seed", type=int, default=1, help="of the search for a motion, default 1")
     plan.add_argument("--quiet", action="store_true", help="print nothing")
-    plan.set_defaults(run=_lazily("plan"))
+    plan.set_defaults(run=_lazily("diagnosis.plan"))
 
 
 def _add_export(commands: Any) -> None:
@@ -305,7 +306,7 @@ def _add_export(commands: Any) -> None:
     options.add_choice(export)
     options.add_mapping(export)
     options.add_engine(export)
-    export.set_defaults(run=_lazily("export"))
+    export.set_defaults(run=_lazily("robots.export"))
 
 
 def _add_benchmark(commands: Any) -> None:
@@ -317,16 +318,16 @@ def _add_benchmark(commands: Any) -> None:
     making.add_argument("--seed", type=int, default=1, help="draws the machines, default 1")
     making.add_argument("--parts", nargs="+", metavar="PART", help="default: all (docs/benchmark.md)")
     making.add_argument("--no-real", action="store_true", help="leave recordings of real machines out")
-    making.set_defaults(run=_lazily("benchmark", "make_folder"))
+    making.set_defaults(run=_lazily("programs.benchmark", "make_folder"))
     answering = verbs.add_parser("answer", help="flexjoint's own answers")
     answering.add_argument("folder", type=Path, metavar="OUT", help="what `make` wrote")
     answering.add_argument("answers", type=Path, metavar="ANSWERS.json", help="to write, or to go on with")
-    answering.set_defaults(run=_lazily("benchmark", "answer"))
+    answering.set_defaults(run=_lazily("programs.benchmark", "answer"))
     scoring = verbs.add_parser("score", help="what a tool's answers are worth")
     scoring.add_argument("folder", type=Path, metavar="OUT", help="what `make` wrote")
     scoring.add_argument("answers", type=Path, metavar="ANSWERS.json", help="of any tool (docs/benchmark.md)")
     scoring.add_argument("--json", type=Path, metavar="OUT.json", help="write the score as JSON")
-    scoring.set_defaults(run=_lazily("benchmark", "show_score"))
+    scoring.set_defaults(run=_lazily("programs.benchmark", "show_score"))
 
 
 def _lazily(command: str, function: str = "run") -> Callable[[argparse.Namespace], int | None]:

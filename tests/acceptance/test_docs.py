@@ -16,7 +16,7 @@ from support.pages import DOCS, ROOT, blocks
 
 import flexjoint.diagnosis.pipeline
 import flexjoint.effects
-from flexjoint.cli.effects import markdown
+from flexjoint.cli.robots.effects import markdown
 from flexjoint.core.limits import limits_page
 from flexjoint.diagnosis.result import Diagnosis, Finding
 from flexjoint.diagnosis.settings import settings_page

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from support import fake_diagnosis
 from support.robot_files import MJCF, URDF, content
 
-from flexjoint.cli import theta_d
+from flexjoint.cli.simulation import theta_d
 from flexjoint.core.errors import RobotWarning
 from flexjoint.diagnosis import experiment
 from flexjoint.recording import table as recording

@@ -16,7 +16,7 @@ from support.cli_runs import complaint, run
 from support.diagnose_cases import as_recording, nominal, summary
 from support.thorough import thorough
 
-from flexjoint.cli.plan import sentences
+from flexjoint.cli.diagnosis.plan import sentences
 from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.experiment import (
     DECISIVE,

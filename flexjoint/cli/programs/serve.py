@@ -12,8 +12,8 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flexjoint.cli.diagnosis.plan import sentences
 from flexjoint.cli.outputs import check_place
-from flexjoint.cli.plan import sentences
 from flexjoint.core.errors import FlexJointError, MissingExtraError
 from flexjoint.diagnosis import experiment, pipeline
 from flexjoint.diagnosis.agreement.agreement import agreement

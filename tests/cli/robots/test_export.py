@@ -12,7 +12,7 @@ from support.cli_runs import complaint, run
 from support.robot_files import file
 
 import flexjoint as fj
-from flexjoint.cli.export import differences
+from flexjoint.cli.robots.export import differences
 from flexjoint.diagnosis.comparison.compare import compare, compared
 from flexjoint.effects import effect
 from flexjoint.export.mujoco_run import MujocoRun

@@ -14,7 +14,7 @@ from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.parameters import renumbered
 from flexjoint.simulation.trajectory import Trajectory
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "whole_body.parquet"
+GOLDEN = Path(__file__).parents[2] / "golden" / "whole_body.parquet"
 GRAVITY, MOTOR = "none", "link"  # the variant that gives the paper's picture
 
 # The last bit, measured over the 60 s: the pin loop (other sums) and C with -ffast-math move q by 1.2e-13 rad

@@ -1,0 +1,1 @@
+"""Commands for other programs: tools over MCP, JSON schemas, and the benchmark for any tool."""
