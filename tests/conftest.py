@@ -10,7 +10,7 @@ import pytest
 from support import fake_diagnosis
 
 from flexjoint.core.ops import Value
-from flexjoint.core.worker_pool import WORKERS
+from flexjoint.core.running.worker_pool import WORKERS
 from flexjoint.model.dynamics import State
 from flexjoint.recording import table as recording
 from flexjoint.robot.robot import Robot

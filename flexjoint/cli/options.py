@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexjoint.core.budget import UNLIMITED, Budget, budget_of
 from flexjoint.core.errors import RobotError
+from flexjoint.core.running.budget import UNLIMITED, Budget, budget_of
 
 if TYPE_CHECKING:
     from flexjoint.recording.logs.mapping import MappingFile

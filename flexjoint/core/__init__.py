@@ -1,1 +1,1 @@
-"""What all other packages stand on: errors, elementwise operations, units, files, worker processes."""
+"""What all other packages stand on: errors, elementwise operations, units, files, and how work runs."""

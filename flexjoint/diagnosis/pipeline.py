@@ -11,9 +11,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.errors import RecordingError, unknown
-from flexjoint.core.worker_pool import one_thread, workers_of
+from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.worker_pool import one_thread, workers_of
 from flexjoint.diagnosis.balances.balances import TwinBalances, balances_of
 from flexjoint.diagnosis.balances.usable import refusal
 from flexjoint.diagnosis.data import check

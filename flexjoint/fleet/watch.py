@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.files import write_bytes, write_text
-from flexjoint.core.worker_pool import workers_of
+from flexjoint.core.running.worker_pool import workers_of
 from flexjoint.fleet import page
 from flexjoint.fleet import roster as rosters
 from flexjoint.fleet.assess import assessed, of_types

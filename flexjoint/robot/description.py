@@ -12,9 +12,9 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
-from flexjoint.core import native_output
 from flexjoint.core.errors import RobotError, unknown
 from flexjoint.core.messages import one_line
+from flexjoint.core.running import native_output
 from flexjoint.robot import ready_made
 from flexjoint.robot.numbers import floats
 from flexjoint.robot.reading import mjcf_checks, urdf_checks, xml_file

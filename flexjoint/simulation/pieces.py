@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flexjoint.core.budget import UNLIMITED, Budget
-from flexjoint.core.progress import Report, silent
+from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.progress import Report, silent
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.recording.table import Recording
 from flexjoint.simulation.compiled import CompiledModel

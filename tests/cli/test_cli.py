@@ -17,7 +17,7 @@ from support.cli_runs import complaint, run
 
 import flexjoint.diagnosis.pipeline
 from flexjoint.cli import options
-from flexjoint.core.budget import Budget
+from flexjoint.core.running.budget import Budget
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.effects import effect
 from flexjoint.model.dynamics import FlexibleJointModel

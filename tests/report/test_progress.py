@@ -9,7 +9,7 @@ from typing import cast
 import pytest
 from rich.console import Console
 
-from flexjoint.core import progress as silent_progress
+from flexjoint.core.running import progress as silent_progress
 from flexjoint.report.progress import Progress, duration
 
 

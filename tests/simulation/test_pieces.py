@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.arms import SPATIAL, make
 
-from flexjoint.core.budget import Budget
+from flexjoint.core.running.budget import Budget
 from flexjoint.effects import effect
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as recording

@@ -12,8 +12,8 @@ from rich.console import Console
 from flexjoint.cli.options import budget_from, load_chosen, mapping_of
 from flexjoint.cli.outputs import Asked, page
 from flexjoint.core.messages import escaped
-from flexjoint.core.progress import silent
-from flexjoint.core.worker_pool import workers_of
+from flexjoint.core.running.progress import silent
+from flexjoint.core.running.worker_pool import workers_of
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.agreement.agreement import agreement
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json

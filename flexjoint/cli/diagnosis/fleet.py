@@ -7,7 +7,7 @@ import argparse
 from rich.console import Console
 
 from flexjoint.core.messages import escaped
-from flexjoint.core.progress import silent
+from flexjoint.core.running.progress import silent
 from flexjoint.fleet.watch import PAGE, TABLE, watch
 from flexjoint.report.material import require
 from flexjoint.report.progress import Progress

@@ -12,7 +12,7 @@ from rich.console import Console
 from flexjoint.cli import options
 from flexjoint.cli import outputs as cli_outputs
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.progress import silent
+from flexjoint.core.running.progress import silent
 from flexjoint.core.units import of_joint
 from flexjoint.diagnosis import experiment as planning
 from flexjoint.diagnosis.experiment import DECISIVE, Outlook, Plan

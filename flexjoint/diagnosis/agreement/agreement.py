@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError, RecordingError
-from flexjoint.core.worker_pool import one_thread
+from flexjoint.core.running.worker_pool import one_thread
 from flexjoint.diagnosis.agreement.spread import Series, repeated
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from scipy import fft
 
-from flexjoint.core.lru_cache import LruCache
+from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.chain import Chain, Chains
 from flexjoint.diagnosis.balances.motion import Motion, reconstruct
 from flexjoint.diagnosis.settings import USUAL, Settings

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flexjoint.core.lru_cache import LruCache
+from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.joint_readings import JointReadings
 from flexjoint.diagnosis.balances.laws import Laws, by_site, dry
 from flexjoint.diagnosis.balances.loads import Loads

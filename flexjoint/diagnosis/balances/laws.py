@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from scipy import fft
 
-from flexjoint.core.lru_cache import LruCache
+from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.dry_friction import DryFriction
 from flexjoint.diagnosis.balances.joint_readings import JointReadings
 from flexjoint.diagnosis.balances.motion import Motion

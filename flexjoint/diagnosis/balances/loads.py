@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.core.lru_cache import LruCache
+from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.motion import Motion
 from flexjoint.effects import Planned, signal_order
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from flexjoint.core.lru_cache import LruCache
+from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.laws import Laws
 from flexjoint.diagnosis.balances.ties import Turning
 from flexjoint.effects import Planned, Signals, Site

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from flexjoint.core.errors import RecordingError
-from flexjoint.core.worker_pool import one_thread
+from flexjoint.core.running.worker_pool import one_thread
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.balances.usable import refusal
 from flexjoint.diagnosis.checking import left, numbers

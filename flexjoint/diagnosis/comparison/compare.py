@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.errors import RecordingError
 from flexjoint.core.files import check_suffix, write_json
-from flexjoint.core.progress import Report, silent
+from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.progress import Report, silent
 from flexjoint.core.text import Block, Line, Table, as_html, plain
 from flexjoint.diagnosis.comparison.estimate import Motion, StateEstimator
 from flexjoint.diagnosis.result.wording import clean, number, unit_of

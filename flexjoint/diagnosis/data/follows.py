@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from flexjoint.core.lru_cache import LruCache
+from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.data.change import Key, Source, View
 from flexjoint.diagnosis.data.sampled import Sampled
 from flexjoint.diagnosis.settings import DataSettings

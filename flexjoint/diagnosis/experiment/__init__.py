@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.core.errors import SimulationError
-from flexjoint.core.worker_pool import one_thread
+from flexjoint.core.running.worker_pool import one_thread
 from flexjoint.diagnosis.experiment import evidence
 from flexjoint.diagnosis.experiment.evidence import DETECTABLE, Evidence, Key
 from flexjoint.diagnosis.experiment.limits import Limits, limits_of

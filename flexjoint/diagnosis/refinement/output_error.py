@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.errors import SimulationError
+from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.diagnosis.refinement.shooting import Reduced, Shooting
 from flexjoint.diagnosis.regression.fit import Fit, weak_prior
 from flexjoint.effects import Planned

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from flexjoint.core.budget import UNLIMITED, Budget
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.diagnosis.refinement.output_error import Estimate, Refinement
 from flexjoint.diagnosis.refinement.shooting import Shooting, slot_label
 from flexjoint.diagnosis.regression.fit import Fit

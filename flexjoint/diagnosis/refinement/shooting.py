@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexjoint.core.worker_pool import worker_pool
+from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.comparison.estimate import StateEstimator
 from flexjoint.diagnosis.refinement.open_numbers import open_numbers
 from flexjoint.diagnosis.refinement.sensitivities import (

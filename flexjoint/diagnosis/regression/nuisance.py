@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint.core.lru_cache import LruCache
+from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, Balances
 from flexjoint.diagnosis.regression.whitening import Band, Whitening
 from flexjoint.diagnosis.signals.jumps import Unknown, jumps, unknown_shapes

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import fft
 from scipy.linalg import cho_factor, cho_solve
 
-from flexjoint.core.lru_cache import LruCache
+from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
 from flexjoint.diagnosis.regression import whitening
 from flexjoint.diagnosis.regression.nuisance import Columns

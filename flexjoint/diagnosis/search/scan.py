@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from flexjoint.core.worker_pool import WorkerPool
+from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.regression.fit import Fit
 from flexjoint.diagnosis.regression.whitening import Band
 from flexjoint.diagnosis.search.candidates import Candidate, Trace, may_replace, traces

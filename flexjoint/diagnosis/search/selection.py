@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from flexjoint.core.budget import UNLIMITED, Budget
-from flexjoint.core.worker_pool import WorkerPool, worker_pool
+from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
 from flexjoint.diagnosis.regression.problem import Problem

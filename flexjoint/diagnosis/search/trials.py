@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flexjoint.core.worker_pool import WorkerPool
+from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
-from flexjoint.core.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.diagnosis.refinement import refined
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors

@@ -12,9 +12,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from flexjoint.core import native_output
 from flexjoint.core.errors import RobotError, RobotWarning
 from flexjoint.core.messages import shown
+from flexjoint.core.running import native_output
 from flexjoint.report.view import meshes
 from flexjoint.report.view.meshes import Mesh
 from flexjoint.robot.description import Description, leaves_package

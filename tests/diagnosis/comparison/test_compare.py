@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from support.arms import PLANAR, make
 
-from flexjoint.core.budget import Budget
 from flexjoint.core.errors import RecordingError, SimulationError
+from flexjoint.core.running.budget import Budget
 from flexjoint.diagnosis.comparison.compare import Comparison, compare
 from flexjoint.diagnosis.comparison.estimate import StateEstimator
 from flexjoint.effects import Planned, effect

@@ -12,8 +12,8 @@ from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
 from support.thorough import thorough
 
-from flexjoint.core.lru_cache import LruCache
-from flexjoint.core.worker_pool import worker_pool
+from flexjoint.core.running.lru_cache import LruCache
+from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances import balances, chain, laws
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose

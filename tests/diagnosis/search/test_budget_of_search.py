@@ -5,7 +5,7 @@ from __future__ import annotations
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
 
-from flexjoint.core.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import enumerate_candidates

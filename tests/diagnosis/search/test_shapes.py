@@ -7,7 +7,7 @@ import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
 
-from flexjoint.core.worker_pool import worker_pool
+from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem

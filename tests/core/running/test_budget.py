@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from flexjoint.core.budget import UNLIMITED, Budget, OutOfTimeError, budget_of
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, budget_of
 
 
 def test_it_is_spent_when_its_seconds_are_over() -> None:

@@ -10,7 +10,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from flexjoint.core.errors import ModelError
-from flexjoint.core.worker_pool import WORKERS, WorkerPool, one_thread, worker_pool, workers_of
+from flexjoint.core.running.worker_pool import WORKERS, WorkerPool, one_thread, worker_pool, workers_of
 
 
 class Known:
