@@ -173,7 +173,7 @@ def write_program(
 
 
 def c_program(functions: Sequence[ca.Function], numbers: Mapping[str, float], files: Sequence[str]) -> str:
-    """C source of generated functions, of numbers as macros, and of files of this folder, which use both.
+    """C source of generated functions, of numbers as macros, and of files in sources/, which use both.
 
     Raises ModelError where a law or effect makes no expressions of expressions.
     """
@@ -185,7 +185,7 @@ def c_program(functions: Sequence[ca.Function], numbers: Mapping[str, float], fi
         )
     defines = "".join(f"#define {name} {number}\n" for name, number in numbers.items())
     export = '#define FJ_EXPORT __attribute__((visibility("default")))\n'
-    folder = resources.files("flexjoint.simulation.compiled")
+    folder = resources.files("flexjoint.simulation.compiled") / "sources"
     own = [folder.joinpath(name).read_text(encoding="utf-8") for name in files]
     return "\n".join([unguarded(generated), defines + export, *own])
 

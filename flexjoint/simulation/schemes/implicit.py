@@ -81,7 +81,7 @@ class Equations:
 
 class ImplicitMidpoint(Scheme):
     """Implicit midpoint by Newton's method; many evaluations a step; numbers only (compiled, the same
-    iteration runs in C: `flexjoint/simulation/compiled/newton.c`).
+    iteration runs in C: `flexjoint/simulation/compiled/sources/newton.c`).
 
     Dry friction is smoothed over `width` [rad/s], which may be as narrow as wanted. A step that does not
     converge raises SimulationError with its time and the joint that is worst off.
