@@ -23,12 +23,12 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.design.robustness import worst_case
     from flexjoint.design.tomei import tomei
     from flexjoint.design.verification import verify
-    from flexjoint.diagnosis.agreement.agreement import agreement
-    from flexjoint.diagnosis.checking.check import check
-    from flexjoint.diagnosis.checking.values import Check
     from flexjoint.diagnosis.comparison.compare import Comparison, compare
     from flexjoint.diagnosis.data.check import DataCheck, check_data
-    from flexjoint.diagnosis.experiment import Plan, plan
+    from flexjoint.diagnosis.followup.agreement.agreement import agreement
+    from flexjoint.diagnosis.followup.checking.check import check
+    from flexjoint.diagnosis.followup.checking.values import Check
+    from flexjoint.diagnosis.followup.experiment import Plan, plan
     from flexjoint.diagnosis.pipeline import diagnose
     from flexjoint.diagnosis.result import Diagnosis
     from flexjoint.effects import Effect, catalogue, effect
@@ -92,7 +92,7 @@ __all__ = [
 ]
 
 _PLACES = {  # name: module and what it is called there
-    "Check": ("diagnosis.checking.values", "Check"),
+    "Check": ("diagnosis.followup.checking.values", "Check"),
     "Comparison": ("diagnosis.comparison.compare", "Comparison"),
     "DataCheck": ("diagnosis.data.check", "DataCheck"),
     "Diagnosis": ("diagnosis.result", "Diagnosis"),
@@ -102,13 +102,13 @@ _PLACES = {  # name: module and what it is called there
     "FlexibleJointModel": ("model.dynamics", "FlexibleJointModel"),
     "LiveSimulation": ("simulation.live", "LiveSimulation"),
     "Parameter": ("core.parameter", "Parameter"),
-    "Plan": ("diagnosis.experiment", "Plan"),
+    "Plan": ("diagnosis.followup.experiment", "Plan"),
     "Recording": ("recording.table", "Recording"),
     "Robot": ("robot.robot", "Robot"),
     "Simulation": ("simulation.simulate", "Simulation"),
-    "agreement": ("diagnosis.agreement.agreement", "agreement"),
+    "agreement": ("diagnosis.followup.agreement.agreement", "agreement"),
     "catalogue": ("effects", "catalogue"),
-    "check": ("diagnosis.checking.check", "check"),
+    "check": ("diagnosis.followup.checking.check", "check"),
     "check_data": ("diagnosis.data.check", "check_data"),
     "compare": ("diagnosis.comparison.compare", "compare"),
     "diagnose": ("diagnosis.pipeline", "diagnose"),
@@ -123,7 +123,7 @@ _PLACES = {  # name: module and what it is called there
     "margins": ("design.margins", "margins"),
     "motor_pd": ("design.gains", "motor_pd"),
     "place": ("design.gains", "place"),
-    "plan": ("diagnosis.experiment", "plan"),
+    "plan": ("diagnosis.followup.experiment", "plan"),
     "read_recording": ("recording.table", "read"),
     "rigid_body_functions": ("rigidbody.functions", "rigid_body_functions"),
     "shipped_robots": ("robot.robot", "shipped_robots"),

@@ -22,7 +22,7 @@ import numpy as np
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.files import write_json
-from flexjoint.diagnosis.checking.check import check
+from flexjoint.diagnosis.followup.checking.check import check
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import to_json
 from flexjoint.recording import checks

@@ -14,7 +14,7 @@ from support import fake_diagnosis
 from support.robot_files import URDF
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.diagnosis import experiment
+from flexjoint.diagnosis.followup import experiment
 from flexjoint.recording import table as recording
 from flexjoint.robot import robot
 

@@ -20,7 +20,7 @@ from support.robot_files import MJCF, URDF, content
 
 from flexjoint.cli.simulation import theta_d
 from flexjoint.core.errors import RobotWarning
-from flexjoint.diagnosis import experiment
+from flexjoint.diagnosis.followup import experiment
 from flexjoint.recording import table as recording
 from flexjoint.recording.clock import on_regular_clock
 from flexjoint.robot import payload, robot

@@ -10,7 +10,7 @@ from rich.console import Console
 from flexjoint.cli import options
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import FlexJointError
-from flexjoint.diagnosis.checking.check import check
+from flexjoint.diagnosis.followup.checking.check import check
 from flexjoint.recording import checks
 from flexjoint.recording.importing import read
 from flexjoint.report.terminal import show

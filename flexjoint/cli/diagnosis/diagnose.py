@@ -15,7 +15,7 @@ from flexjoint.core.messages import escaped
 from flexjoint.core.running.progress import silent
 from flexjoint.core.running.worker_pool import workers_of
 from flexjoint.diagnosis import pipeline
-from flexjoint.diagnosis.agreement.agreement import agreement
+from flexjoint.diagnosis.followup.agreement.agreement import agreement
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import cause, listed, percent
 from flexjoint.diagnosis.signals.excerpt import excerpts, expected_seconds, most_samples

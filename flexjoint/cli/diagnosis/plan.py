@@ -14,9 +14,9 @@ from flexjoint.cli import outputs as cli_outputs
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.running.progress import silent
 from flexjoint.core.units import of_joint
-from flexjoint.diagnosis import experiment as planning
-from flexjoint.diagnosis.experiment import DECISIVE, Outlook, Plan
-from flexjoint.diagnosis.experiment.limits import REACH, SECONDS
+from flexjoint.diagnosis.followup import experiment as planning
+from flexjoint.diagnosis.followup.experiment import DECISIVE, Outlook, Plan
+from flexjoint.diagnosis.followup.experiment.limits import REACH, SECONDS
 from flexjoint.recording import table as recording
 from flexjoint.report.progress import Progress
 from flexjoint.robot.robot import Robot

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 from flexjoint.cli.diagnosis.plan import sentences
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import FlexJointError, MissingExtraError
-from flexjoint.diagnosis import experiment, pipeline
-from flexjoint.diagnosis.agreement.agreement import agreement
-from flexjoint.diagnosis.checking import check as checking
+from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.comparison import compare as comparing
+from flexjoint.diagnosis.followup import experiment
+from flexjoint.diagnosis.followup.agreement.agreement import agreement
+from flexjoint.diagnosis.followup.checking import check as checking
 from flexjoint.diagnosis.result import to_json
 from flexjoint.diagnosis.result.known import parsed
 from flexjoint.diagnosis.result.wording import cause

@@ -16,10 +16,10 @@ from planting import Planted, plant
 from support.cli_runs import complaint, run
 from support.diagnose_cases import ROBOTS, SENSORS, as_recording, nominal
 
-from flexjoint.diagnosis.agreement.agreement import agreement
-from flexjoint.diagnosis.checking.check import check
 from flexjoint.diagnosis.comparison.compare import compare
 from flexjoint.diagnosis.data.check import check_data
+from flexjoint.diagnosis.followup.agreement.agreement import agreement
+from flexjoint.diagnosis.followup.checking.check import check
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.result.schema import names, schema

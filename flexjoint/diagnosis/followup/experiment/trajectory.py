@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flexjoint.diagnosis.experiment.limits import MARGIN, Limits
+from flexjoint.diagnosis.followup.experiment.limits import MARGIN, Limits
 from flexjoint.recording.table import Recording, make
 from flexjoint.rigidbody.numeric import PinBody
 from flexjoint.robot.robot import Robot

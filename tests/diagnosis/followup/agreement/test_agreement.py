@@ -13,9 +13,9 @@ from planting import Planted, plant
 from support.diagnose_cases import ROBOTS, SENSORS, as_recording, findings_of, nominal
 
 from flexjoint import report
-from flexjoint.diagnosis.agreement.agreement import agreement
-from flexjoint.diagnosis.agreement.spread import Series, repeated
 from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.followup.agreement.agreement import agreement
+from flexjoint.diagnosis.followup.agreement.spread import Series, repeated
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Diagnosis, to_json

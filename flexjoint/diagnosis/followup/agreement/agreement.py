@@ -13,9 +13,9 @@ import numpy as np
 
 from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.core.running.worker_pool import one_thread
-from flexjoint.diagnosis.agreement.spread import Series, repeated
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
+from flexjoint.diagnosis.followup.agreement.spread import Series, repeated
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.shared_numbers import SharedNumbers

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.diagnosis.experiment import evidence
-from flexjoint.diagnosis.experiment.evidence import Evidence, Sensors
-from flexjoint.diagnosis.experiment.limits import Limits, exceeded
-from flexjoint.diagnosis.experiment.question import Question, Tie, usual_noise
+from flexjoint.diagnosis.followup.experiment import evidence
+from flexjoint.diagnosis.followup.experiment.evidence import Evidence, Sensors
+from flexjoint.diagnosis.followup.experiment.limits import Limits, exceeded
+from flexjoint.diagnosis.followup.experiment.question import Question, Tie, usual_noise
 from flexjoint.effects import Planned, effect
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot

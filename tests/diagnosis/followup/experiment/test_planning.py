@@ -18,7 +18,7 @@ from support.thorough import thorough
 
 from flexjoint.cli.diagnosis.plan import sentences
 from flexjoint.core.errors import FlexJointError
-from flexjoint.diagnosis.experiment import (
+from flexjoint.diagnosis.followup.experiment import (
     DECISIVE,
     Plan,
     limits_of,
@@ -26,9 +26,9 @@ from flexjoint.diagnosis.experiment import (
     read,
     without_diagnosis,
 )
-from flexjoint.diagnosis.experiment.evidence import Evidence, Sensors
-from flexjoint.diagnosis.experiment.question import Question, Tie
-from flexjoint.diagnosis.experiment.trajectory import drawn, reference
+from flexjoint.diagnosis.followup.experiment.evidence import Evidence, Sensors
+from flexjoint.diagnosis.followup.experiment.question import Question, Tie
+from flexjoint.diagnosis.followup.experiment.trajectory import drawn, reference
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.effects import effect
 from flexjoint.recording import table as recording

@@ -14,12 +14,18 @@ import numpy as np
 
 from flexjoint.core.errors import SimulationError
 from flexjoint.core.running.worker_pool import one_thread
-from flexjoint.diagnosis.experiment import evidence
-from flexjoint.diagnosis.experiment.evidence import DETECTABLE, Evidence, Key
-from flexjoint.diagnosis.experiment.limits import Limits, limits_of
-from flexjoint.diagnosis.experiment.proposals import Proposal, proposals
-from flexjoint.diagnosis.experiment.question import Question, Tie, question_of, read, without_diagnosis
-from flexjoint.diagnosis.experiment.search import best_motion, within_limits
+from flexjoint.diagnosis.followup.experiment import evidence
+from flexjoint.diagnosis.followup.experiment.evidence import DETECTABLE, Evidence, Key
+from flexjoint.diagnosis.followup.experiment.limits import Limits, limits_of
+from flexjoint.diagnosis.followup.experiment.proposals import Proposal, proposals
+from flexjoint.diagnosis.followup.experiment.question import (
+    Question,
+    Tie,
+    question_of,
+    read,
+    without_diagnosis,
+)
+from flexjoint.diagnosis.followup.experiment.search import best_motion, within_limits
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.effects import Planned
 from flexjoint.recording.table import Recording

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import false_discovery_control
 from scipy.stats import t as student
 
-from flexjoint.diagnosis.checking.values import CheckedCause, CheckedNumber, State
+from flexjoint.diagnosis.followup.checking.values import CheckedCause, CheckedNumber, State
 from flexjoint.diagnosis.regression.fit import Fit
 from flexjoint.diagnosis.regression.uncertainty import Errors, certainty, standard_errors
 from flexjoint.diagnosis.result.known import Known

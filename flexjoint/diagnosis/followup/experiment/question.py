@@ -10,7 +10,7 @@ from typing import Any
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.limits import DIAGNOSIS_FILE, RECORDING
-from flexjoint.diagnosis.experiment.evidence import Key, Sensors
+from flexjoint.diagnosis.followup.experiment.evidence import Key, Sensors
 from flexjoint.diagnosis.result import Diagnosis, to_json
 from flexjoint.diagnosis.result.known import keys_of, parsed, planned_of
 from flexjoint.effects import Planned

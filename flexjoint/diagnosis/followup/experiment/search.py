@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.core.errors import SimulationError
-from flexjoint.diagnosis.experiment import evidence
-from flexjoint.diagnosis.experiment.evidence import DETECTABLE, Evidence, Key, Odds
-from flexjoint.diagnosis.experiment.limits import Limits, exceeded
-from flexjoint.diagnosis.experiment.question import Question
-from flexjoint.diagnosis.experiment.trajectory import Wave, drawn, reference, timid, varied
+from flexjoint.diagnosis.followup.experiment import evidence
+from flexjoint.diagnosis.followup.experiment.evidence import DETECTABLE, Evidence, Key, Odds
+from flexjoint.diagnosis.followup.experiment.limits import Limits, exceeded
+from flexjoint.diagnosis.followup.experiment.question import Question
+from flexjoint.diagnosis.followup.experiment.trajectory import Wave, drawn, reference, timid, varied
 from flexjoint.effects import Planned
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot

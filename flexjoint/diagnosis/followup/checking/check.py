@@ -13,9 +13,9 @@ from flexjoint.core.errors import RecordingError
 from flexjoint.core.running.worker_pool import one_thread
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.balances.usable import refusal
-from flexjoint.diagnosis.checking import left, numbers
-from flexjoint.diagnosis.checking.values import Check, CheckedCause, CheckedJoint
 from flexjoint.diagnosis.data.check import check_data
+from flexjoint.diagnosis.followup.checking import left, numbers
+from flexjoint.diagnosis.followup.checking.values import Check, CheckedCause, CheckedJoint
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Remaining

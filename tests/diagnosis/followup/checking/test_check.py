@@ -17,10 +17,10 @@ from support.thorough import thorough
 
 from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.checking import numbers
-from flexjoint.diagnosis.checking.check import check, refitted
-from flexjoint.diagnosis.checking.left import left_by
-from flexjoint.diagnosis.checking.values import Check, CheckedCause, CheckedNumber
+from flexjoint.diagnosis.followup.checking import numbers
+from flexjoint.diagnosis.followup.checking.check import check, refitted
+from flexjoint.diagnosis.followup.checking.left import left_by
+from flexjoint.diagnosis.followup.checking.values import Check, CheckedCause, CheckedNumber
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Diagnosis

@@ -1,0 +1,1 @@
+"""What follows a diagnosis: do recordings agree, has the machine changed, what to record next."""
