@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from flexjoint.diagnosis.data.rivals import reach
+from flexjoint.diagnosis.data.torques.rivals import reach
 from flexjoint.diagnosis.result.values import DataFinding
 from flexjoint.diagnosis.settings import DataSettings
 from flexjoint.robot.robot import Robot

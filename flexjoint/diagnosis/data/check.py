@@ -1,8 +1,8 @@
 """Are the data what they say? Signs, zeros, units and names of a recording against its robot, in well under a
 second, before any cause is blamed.
 
-First what columns say of each other (encoders.py, velocities.py), then, with that repaired, what the recorded
-torques say of the motion (search.py). A real machine with its friction, its load and its errors passes; an
+First what columns of the motion say of each other (motion/), then, with that repaired, what the recorded
+torques say of the motion (torques/). A real machine with its friction, its load and its errors passes; an
 error is reported where its repair alone makes the torques follow.
 """
 
@@ -17,13 +17,14 @@ from typing import Any
 
 from flexjoint.core.files import check_suffix, write_json
 from flexjoint.core.text import Block, Line, as_html, plain
-from flexjoint.diagnosis.data import bodies, columns, encoders, velocities
+from flexjoint.diagnosis.data import bodies, columns
 from flexjoint.diagnosis.data.change import Change
-from flexjoint.diagnosis.data.errors import turned, unit, zero
-from flexjoint.diagnosis.data.follows import Balance
-from flexjoint.diagnosis.data.sampled import sampled
-from flexjoint.diagnosis.data.search import Found, found_errors
+from flexjoint.diagnosis.data.motion import encoders, velocities
 from flexjoint.diagnosis.data.sentences import evidence, said
+from flexjoint.diagnosis.data.torques.errors import turned, unit, zero
+from flexjoint.diagnosis.data.torques.follows import Balance
+from flexjoint.diagnosis.data.torques.sampled import sampled
+from flexjoint.diagnosis.data.torques.search import Found, found_errors
 from flexjoint.diagnosis.result.sentences import data_lines
 from flexjoint.diagnosis.result.values import DataFinding, data_to_json
 from flexjoint.diagnosis.settings import USUAL, DataSettings

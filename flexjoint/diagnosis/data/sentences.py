@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from flexjoint.diagnosis.data.change import Change
-from flexjoint.diagnosis.data.errors import gear, mounting, swapped, turned, unit, zero
+from flexjoint.diagnosis.data.torques.errors import gear, mounting, swapped, turned, unit, zero
 from flexjoint.robot.robot import Robot
 
 

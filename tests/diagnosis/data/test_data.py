@@ -8,9 +8,9 @@ from support.ur5_logs import ELBOW, LIFT, NAMES, PAN, log, ur5
 
 from flexjoint.diagnosis.data.change import Change, Source, View
 from flexjoint.diagnosis.data.columns import repaired
-from flexjoint.diagnosis.data.follows import Balance
-from flexjoint.diagnosis.data.rivals import explained_otherwise, reach
-from flexjoint.diagnosis.data.sampled import sampled
+from flexjoint.diagnosis.data.torques.follows import Balance
+from flexjoint.diagnosis.data.torques.rivals import explained_otherwise, reach
+from flexjoint.diagnosis.data.torques.sampled import sampled
 from flexjoint.diagnosis.data.travel import slope
 from flexjoint.diagnosis.result import Column, DataFinding
 from flexjoint.diagnosis.settings import USUAL

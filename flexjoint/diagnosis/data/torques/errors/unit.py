@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from flexjoint.diagnosis.data.change import Change, Key, Source, View
-from flexjoint.diagnosis.data.follows import Balance
+from flexjoint.diagnosis.data.torques.follows import Balance
 from flexjoint.robot.robot import Joint
 
 UNIT = "unit"

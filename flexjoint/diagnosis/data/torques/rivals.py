@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from flexjoint.diagnosis.data.change import View
-from flexjoint.diagnosis.data.follows import Balance, Row, limits_of
+from flexjoint.diagnosis.data.torques.follows import Balance, Row, limits_of
 from flexjoint.robot.robot import Robot
 
 STARTS = (0.1, 0.5)  # of the largest load; a lighter link is found from the first

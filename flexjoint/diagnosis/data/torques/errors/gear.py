@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from flexjoint.diagnosis.data.change import Change, Source, View
-from flexjoint.diagnosis.data.follows import Balance
+from flexjoint.diagnosis.data.torques.follows import Balance
 
 GEAR = "gear"
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from scipy.optimize import minimize_scalar
 
 from flexjoint.diagnosis.data.change import Change, Source, View
-from flexjoint.diagnosis.data.follows import Balance, cost
+from flexjoint.diagnosis.data.torques.follows import Balance, cost
 
 ZERO = "zero"
 EIGHTH = math.pi / 4.0

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import combinations
 
 from flexjoint.diagnosis.data.change import Change, Source, View
-from flexjoint.diagnosis.data.follows import Balance
+from flexjoint.diagnosis.data.torques.follows import Balance
 
 JOINTS, TORQUES, POSITIONS = "swapped_joints", "swapped_torques", "swapped_positions"
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.diagnosis.data.change import Change, View
-from flexjoint.diagnosis.data.errors import gear, mounting, swapped, turned, unit, zero
-from flexjoint.diagnosis.data.follows import Balance, cost
-from flexjoint.diagnosis.data.rivals import explained_otherwise
+from flexjoint.diagnosis.data.torques.errors import gear, mounting, swapped, turned, unit, zero
+from flexjoint.diagnosis.data.torques.follows import Balance, cost
+from flexjoint.diagnosis.data.torques.rivals import explained_otherwise
 
 MOST = 4  # changes of the motion that are looked for, one after the other
 CHANGED = 0.05  # of a torque's variance, from which a row is changed

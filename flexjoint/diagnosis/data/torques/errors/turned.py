@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from flexjoint.diagnosis.data.change import Change, Source, View
-from flexjoint.diagnosis.data.follows import Balance
+from flexjoint.diagnosis.data.torques.follows import Balance
 
 TORQUE, POSITION, JOINT = "turned_torque", "turned_position", "turned_joint"
 

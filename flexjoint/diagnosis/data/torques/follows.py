@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 
 from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.data.change import Key, Source, View
-from flexjoint.diagnosis.data.sampled import Sampled
+from flexjoint.diagnosis.data.torques.sampled import Sampled
 from flexjoint.diagnosis.settings import DataSettings
 from flexjoint.effects import Signals
 from flexjoint.model.dynamics import FlexibleJointModel

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from flexjoint.diagnosis.data.change import Change, View
-from flexjoint.diagnosis.data.follows import Balance
+from flexjoint.diagnosis.data.torques.follows import Balance
 
 MOUNTING = "gravity"
 
