@@ -72,7 +72,7 @@ flexjoint-demo/report.html: | .venv/.demo
 
 pictures: .venv/.test
 	FLEXJOINT_PICTURES=$(CURDIR)/notebooks/pictures \
-	$(BIN)/python -m pytest tests/acceptance/test_notebooks.py -k runs_and_draws
+	$(BIN)/python -m pytest tests/acceptance/project/test_notebooks.py -k runs_and_draws
 
 bench: .venv/.bench
 	$(BIN)/python -m bench

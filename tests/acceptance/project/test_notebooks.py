@@ -19,7 +19,7 @@ from support.thorough import thorough
 from flexjoint.report.view.browser import opened
 from flexjoint.robot import robot
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 WORDS_AWAY = "for (const id of ['head', 'player', 'labels']) document.getElementById(id).style.opacity = 0"
 WHOLE_ROBOT = "07_centauro"  # simulated for a minute

@@ -159,7 +159,7 @@ def test_the_exported_c_computes_the_step(tmp_path: Path) -> None:
 
 # ------------------------------------------------------------------ in a user's optimisation
 def test_the_energy_optimal_swing_is_found_and_holds_in_the_simulation() -> None:
-    path = Path(__file__).parents[2] / "examples" / "energy_optimal_swing.py"
+    path = Path(__file__).parents[3] / "examples" / "energy_optimal_swing.py"
     spec = importlib.util.spec_from_file_location("energy_optimal_swing", path)
     assert spec is not None and spec.loader is not None
     example = importlib.util.module_from_spec(spec)

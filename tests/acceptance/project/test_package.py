@@ -16,7 +16,7 @@ from support.thorough import thorough
 
 import flexjoint
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def call(*words: object, folder: Path) -> str:
