@@ -33,8 +33,8 @@ from flexjoint.simulation.rollout import closed_loop
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from support.arms import PENDULUM, PLANAR, make
-from support.example_robots import centauro, ur5
+from support.robots.arms import PENDULUM, PLANAR, make
+from support.robots.example_robots import centauro, ur5
 
 RATE, CONTROL = 2000.0, 1000.0
 SECONDS = 0.5  # of the motion whose error is measured

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from support.arms import PLANAR, make
+from support.robots.arms import PLANAR, make
 
 from flexjoint.core.errors import ModelError
 from flexjoint.core.parameter import SMALLEST, Parameter

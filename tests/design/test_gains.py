@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.linalg
-from support.arms import PENDULUM, PLANAR, SPATIAL, make
-from support.elastic_ur5 import ur5
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make
+from support.robots.elastic_ur5 import ur5
 
 from flexjoint.core.errors import ModelError, UnknownNameError
 from flexjoint.core.parameter import Parameter

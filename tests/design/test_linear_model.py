@@ -9,7 +9,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, make
+from support.robots.arms import PENDULUM, PLANAR, make
 
 from flexjoint.core.errors import MissingExtraError, ModelError, UnknownNameError
 from flexjoint.design.feedback import Gains, close_loop

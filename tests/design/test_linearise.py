@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
-from support.arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each
-from support.elastic_ur5 import ur5
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each
+from support.robots.elastic_ur5 import ur5
 
 from flexjoint.core.errors import ModelError, UnknownNameError
 from flexjoint.design.linear_model import LinearModel

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from control.pzmap import PoleZeroData
-from support.arms import PENDULUM, PLANAR, make
+from support.robots.arms import PENDULUM, PLANAR, make
 
 from flexjoint.core.errors import ModelError, UnknownNameError
 from flexjoint.design.feedback import Gains, close_loop

@@ -8,8 +8,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, SPATIAL, make, waves
 from support.loops import loops_agree
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make, waves
 
 from flexjoint.core.errors import ModelError
 from flexjoint.design.linearise import linearise

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.arms import SPATIAL, make
-from support.coupled_robots import coupled
+from support.robots.arms import SPATIAL, make
+from support.robots.coupled_robots import coupled
 
 from flexjoint.core.errors import ModelError
 from flexjoint.effects import effect

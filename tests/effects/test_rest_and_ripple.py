@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.arms import make
 from support.diagnose_cases import Case, as_recording, nominal, summary
+from support.robots.arms import make
 from support.thorough import sample
 
 from flexjoint.diagnosis.pipeline import diagnose

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.arms import PLANAR, SPATIAL, make, waves
+from support.robots.arms import PLANAR, SPATIAL, make, waves
 
 from flexjoint.effects import effect
 from flexjoint.export.targets import export_robot

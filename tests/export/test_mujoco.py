@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.arms import PLANAR, SPATIAL, make, waves
+from support.robots.arms import PLANAR, SPATIAL, make, waves
 
 from flexjoint.core.errors import MissingExtraError, ModelError, RobotError
 from flexjoint.effects import Planned, catalogue, effect

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.arms import PLANAR, SPATIAL, make, one_of_each
 from support.pages import DOCS
+from support.robots.arms import PLANAR, SPATIAL, make, one_of_each
 
 import flexjoint as fj
 from flexjoint.core.errors import FlexJointError, RobotError, UnknownNameError

@@ -14,7 +14,7 @@ import yaml
 from fuzz.hostile import command, fuzz
 from hypothesis import given
 from hypothesis import strategies as st
-from support.robot_files import JOINT, URDF, content
+from support.robots.robot_files import JOINT, URDF, content
 
 from flexjoint.effects import catalogue
 from flexjoint.recording import table as recording

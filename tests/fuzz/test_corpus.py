@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from fuzz.hostile import corpus, only_refusals
 from support import fake_diagnosis
-from support.robot_files import URDF
+from support.robots.robot_files import URDF
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.followup import experiment

@@ -16,7 +16,7 @@ from fuzz.hostile import fuzz, mutated, only_refusals
 from hypothesis import given
 from hypothesis import strategies as st
 from support import fake_diagnosis
-from support.robot_files import MJCF, URDF, content
+from support.robots.robot_files import MJCF, URDF, content
 
 from flexjoint.cli.simulation import theta_d
 from flexjoint.core.errors import RobotWarning

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.arms import waves
-from support.ground_robots import (
+from support.robots.arms import waves
+from support.robots.ground_robots import (
     BOX,
     FEET,
     FLYWHEEL,

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.optimize import minimize
-from support import standing
-from support.arms import PLANAR, make
-from support.standing import FEET
+from support.robots import standing
+from support.robots.arms import PLANAR, make
+from support.robots.standing import FEET
 
 from flexjoint.core.errors import ModelError, UnknownNameError
 from flexjoint.effects import effect

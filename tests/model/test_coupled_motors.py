@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.coupled_robots import DAMPING, DIFFERENTIAL, SHARED, THROUGH, UNITY, Matrix, coupled, swinging
+from support.robots.coupled_robots import (
+    DAMPING,
+    DIFFERENTIAL,
+    SHARED,
+    THROUGH,
+    UNITY,
+    Matrix,
+    coupled,
+    swinging,
+)
 
 from flexjoint.core.errors import ModelError
 from flexjoint.design.linearise import linearise

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from support import standing
-from support.arms import PENDULUM, PLANAR, make
 from support.pages import DOCS, blocks
+from support.robots import standing
+from support.robots.arms import PENDULUM, PLANAR, make
 
 from flexjoint.core.errors import ModelError, UnknownNameError
 from flexjoint.effects import Planned, Signals, effect

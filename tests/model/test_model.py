@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each
 
 from flexjoint.core.errors import ModelError, UnknownNameError
 from flexjoint.effects import Effect, Parameter, Planned, Signals, Site, effect

@@ -7,8 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.arms import waves
-from support.ground_robots import BOX, FLYWHEEL, box, cart, driven_landing, energy_left, growth, hold, lifted
+from support.robots.arms import waves
+from support.robots.ground_robots import (
+    BOX,
+    FLYWHEEL,
+    box,
+    cart,
+    driven_landing,
+    energy_left,
+    growth,
+    hold,
+    lifted,
+)
 
 from flexjoint.core.errors import ModelError, RobotError, SimulationError, UnknownNameError
 from flexjoint.effects import effect

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.ground_robots import BOX, FEET, FLYWHEEL, box, energy_left, growth, hold
+from support.robots.ground_robots import BOX, FEET, FLYWHEEL, box, energy_left, growth, hold
 
 from flexjoint.core.errors import ModelError
 from flexjoint.design.linearise import linearise, symbolic_linearisation

@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from support.arms import PENDULUM, SPATIAL, make, one_of_each, waves
+from support.robots.arms import PENDULUM, SPATIAL, make, one_of_each, waves
 
 from flexjoint.core.errors import ModelError, UnknownNameError
 from flexjoint.effects import Planned, effect

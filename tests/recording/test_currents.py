@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.robot_files import JOINT, file
-from support.ur5_logs import ELBOW, NAMES, log, ur5
+from support.robots.robot_files import JOINT, file
+from support.robots.ur5_logs import ELBOW, NAMES, log, ur5
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.diagnosis.comparison.compare import compare

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, make
+from support.robots.arms import PENDULUM, PLANAR, make
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.effects import Planned, effect

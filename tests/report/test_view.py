@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.robot_files import MJCF, URDF, file
+from support.robots.robot_files import MJCF, URDF, file
 
 from flexjoint.cli.main import main
 from flexjoint.core.errors import FlexJointError, RobotError, RobotWarning

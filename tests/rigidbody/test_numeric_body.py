@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.body_models import EXACT, random_inertia, relative, robot, rrbot, state, symbolic
+from support.robots.body_models import EXACT, random_inertia, relative, robot, rrbot, state, symbolic
 
 from flexjoint.core.errors import FlexJointError, ModelError, UnknownNameError
 from flexjoint.rigidbody.functions import make_function

@@ -8,8 +8,16 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.body_models import EXACT, ROBOTS, STATES, random_inertia, random_placement, relative, robot
 from support.pages import DOCS, blocks
+from support.robots.body_models import (
+    EXACT,
+    ROBOTS,
+    STATES,
+    random_inertia,
+    random_placement,
+    relative,
+    robot,
+)
 
 from flexjoint import rigid_body_functions
 from flexjoint.core.errors import ModelError, UnknownNameError

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.body_models import EXACT, ROBOTS, STATES, relative, robot, rrbot, state, symbolic
+from support.robots.body_models import EXACT, ROBOTS, STATES, relative, robot, rrbot, state, symbolic
 
 from flexjoint.core.errors import ModelError
 from flexjoint.rigidbody.functions import FUNCTIONS, make_function

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.robot_files import JOINT, file
+from support.robots.robot_files import JOINT, file
 
 from flexjoint.core.errors import RobotError
 from flexjoint.recording.currents import with_torques

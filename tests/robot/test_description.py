@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from support.robot_files import JOINT, MJCF, file
+from support.robots.robot_files import JOINT, MJCF, file
 
 from flexjoint.core.errors import FlexJointError, RobotError
 from flexjoint.model.dynamics import FlexibleJointModel

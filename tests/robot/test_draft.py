@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from support.robot_files import MJCF, URDF
+from support.robots.robot_files import MJCF, URDF
 
 from flexjoint.core.errors import FlexJointError, RobotError
 from flexjoint.robot import robot

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.robot_files import MJCF, URDF
+from support.robots.robot_files import MJCF, URDF
 
 from flexjoint.core.errors import RobotError
 from flexjoint.robot import robot

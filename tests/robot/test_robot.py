@@ -13,7 +13,7 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.robot_files import JOINT, URDF, content, file
+from support.robots.robot_files import JOINT, URDF, content, file
 
 from flexjoint.core.errors import FlexJointError, RobotError, UnknownNameError
 from flexjoint.effects import effect

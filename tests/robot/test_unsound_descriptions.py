@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from support.robot_files import MJCF, URDF, content
+from support.robots.robot_files import MJCF, URDF, content
 
 from flexjoint.core.errors import RobotError, RobotWarning
 from flexjoint.core.messages import LONGEST_LINE, one_line

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.robot_files import JOINT, file
+from support.robots.robot_files import JOINT, file
 
 from flexjoint.core.errors import RobotError
 from flexjoint.core.limits import ROBOT_FILE

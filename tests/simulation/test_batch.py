@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, make, waves
+from support.robots.arms import PENDULUM, PLANAR, make, waves
 
 from flexjoint.core.errors import ModelError, SimulationError, UnknownNameError
 from flexjoint.effects import effect

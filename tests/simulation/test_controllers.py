@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, SPATIAL, make
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make
 
 from flexjoint.core.errors import RobotError, SimulationError, UnknownNameError
 from flexjoint.effects import effect

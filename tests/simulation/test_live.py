@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, SPATIAL, make
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make
 
 from flexjoint.core import ops
 from flexjoint.core.errors import (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.arms import SPATIAL, make
+from support.robots.arms import SPATIAL, make
 
 from flexjoint.core.running.budget import Budget
 from flexjoint.effects import effect

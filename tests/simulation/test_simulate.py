@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each, waves
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each, waves
 
 from flexjoint.core.errors import RecordingError, RobotError, SimulationError, UnknownNameError
 from flexjoint.effects import Planned, effect

@@ -12,7 +12,7 @@ from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import closed_loop
 from flexjoint.simulation.schemes import DEFAULT
 from flexjoint.simulation.trajectory import Trajectory
-from support.arms import waves
+from support.robots.arms import waves
 
 # Both evaluate the same expressions in double precision; sines, powers and the order of sums in the
 # articulated-body algorithm differ in the last digit, and a motion of 1 s carries that on.

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.arms import PENDULUM, SPATIAL, make, waves
+from support.robots.arms import PENDULUM, SPATIAL, make, waves
 
 from flexjoint import testing
 from flexjoint.core.errors import FlexJointError, UnknownNameError

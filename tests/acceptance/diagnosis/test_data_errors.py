@@ -16,8 +16,8 @@ import yaml
 from planting import Planted, SensorSet, plant, robot_file
 from study.cases import make as study_case
 from support.diagnose_cases import as_recording
-from support.robot_files import URDF as ARM2
-from support.ur5_logs import ELBOW, LIFT, NAMES, PAN, WRIST_1, WRIST_2, WRIST_3, log, ur5
+from support.robots.robot_files import URDF as ARM2
+from support.robots.ur5_logs import ELBOW, LIFT, NAMES, PAN, WRIST_1, WRIST_2, WRIST_3, log, ur5
 
 import flexjoint as fj
 from flexjoint.cli.main import main

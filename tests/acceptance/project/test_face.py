@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from support.arms import PLANAR, make
-from support.robot_files import JOINT, URDF
+from support.robots.arms import PLANAR, make
+from support.robots.robot_files import JOINT, URDF
 
 import flexjoint as fj
 from flexjoint.core.errors import FlexJointError, ModelError, RecordingError, RobotError, UnknownNameError

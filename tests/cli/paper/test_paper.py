@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.arms import PLANAR, make
+from support.robots.arms import PLANAR, make
 
 from flexjoint.cli.main import main
 from flexjoint.cli.paper import one_link as paper

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from support.cli_runs import complaint, run
-from support.robot_files import file
+from support.robots.robot_files import file
 
 import flexjoint as fj
 from flexjoint.cli.robots.export import differences

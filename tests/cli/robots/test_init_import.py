@@ -9,7 +9,7 @@ import pytest
 from support import fake_diagnosis
 from support.cli_runs import complaint, run
 from support.logs import JOINTS, assert_is, motion, write_csv
-from support.robot_files import URDF
+from support.robots.robot_files import URDF
 
 import flexjoint.diagnosis.pipeline
 from flexjoint.recording import table

@@ -10,8 +10,9 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 import yaml
-from support import fake_diagnosis, standing
+from support import fake_diagnosis
 from support.cli_runs import complaint, run
+from support.robots import standing
 
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.statics.equilibrium import equilibrium

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from planting import Planted
 from planting.sizes import usual_effect
-from support.arms import SPATIAL, make
-from support.coupled_robots import DIFFERENTIAL, SHARED, THROUGH, Matrix, coupled, swinging
 from support.diagnose_cases import Case, as_recording, nominal
+from support.robots.arms import SPATIAL, make
+from support.robots.coupled_robots import DIFFERENTIAL, SHARED, THROUGH, Matrix, coupled, swinging
 
 from flexjoint.diagnosis.balances.balances import TwinBalances, acts_within_a_joint, balances_of
 from flexjoint.diagnosis.regression.problem import Problem

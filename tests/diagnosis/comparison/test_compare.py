@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.arms import PLANAR, make
+from support.robots.arms import PLANAR, make
 
 from flexjoint.core.errors import RecordingError, SimulationError
 from flexjoint.core.running.budget import Budget

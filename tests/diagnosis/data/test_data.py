@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.ur5_logs import ELBOW, LIFT, NAMES, PAN, log, ur5
+from support.robots.ur5_logs import ELBOW, LIFT, NAMES, PAN, log, ur5
 
 from flexjoint.diagnosis.data.change import Change, Source, View
 from flexjoint.diagnosis.data.columns import repaired

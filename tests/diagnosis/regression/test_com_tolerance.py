@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.coupled_robots import coupled, swinging
+from support.robots.coupled_robots import coupled, swinging
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.nuisance import inertial_directions

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import fake_diagnosis
 from support.logs import JOINTS, RATE, assert_is, motion
-from support.robot_files import file
+from support.robots.robot_files import file
 
 from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.core.text import plain

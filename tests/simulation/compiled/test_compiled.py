@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each, waves
-from support.example_robots import centauro, ur5
 from support.loops import FRICTIONS, GAINS, agree, loops_agree, moving, references
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make, one_of_each, waves
+from support.robots.example_robots import centauro, ur5
 
 from flexjoint.core import ops
 from flexjoint.core.errors import SimulationError, UnknownNameError

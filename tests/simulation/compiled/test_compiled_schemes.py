@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.arms import PLANAR, SPATIAL, make, one_of_each, waves
-from support.example_robots import ur5
-from support.ground_robots import cart, lifted
 from support.loops import FRICTIONS, GAINS, agree, loops_agree, moving, references
+from support.robots.arms import PLANAR, SPATIAL, make, one_of_each, waves
+from support.robots.example_robots import ur5
+from support.robots.ground_robots import cart, lifted
 
 from flexjoint.core.errors import SimulationError
 from flexjoint.effects import Planned, effect

@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from support.arms import PLANAR, SPATIAL, make, waves
+from support.robots.arms import PLANAR, SPATIAL, make, waves
+from support.robots.trees import random_tree
 from support.thorough import thorough
-from support.trees import random_tree
 
 from flexjoint.core.errors import SimulationError, StabilityWarning
 from flexjoint.effects import effect

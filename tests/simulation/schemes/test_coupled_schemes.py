@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.coupled_robots import DIFFERENTIAL, THROUGH, Matrix, coupled, swinging
+from support.robots.coupled_robots import DIFFERENTIAL, THROUGH, Matrix, coupled, swinging
 
 from flexjoint.core.errors import SimulationError
 from flexjoint.effects import Planned, effect

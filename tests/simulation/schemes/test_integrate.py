@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
-from support.arms import PENDULUM, PLANAR, SPATIAL, make, waves
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make, waves
 
 from flexjoint.core.errors import SimulationError, UnknownNameError
 from flexjoint.effects import Planned, effect

@@ -10,7 +10,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from support.arms import PENDULUM, PLANAR, SPATIAL, make, waves
+from support.robots.arms import PENDULUM, PLANAR, SPATIAL, make, waves
 
 from flexjoint.core.errors import ModelError, SimulationError, StabilityWarning, UnknownNameError
 from flexjoint.effects import Planned, effect

@@ -13,7 +13,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from support.arms import PLANAR, SPATIAL, make, waves
+from support.robots.arms import PLANAR, SPATIAL, make, waves
 
 from flexjoint.core.errors import ModelError, SimulationError, UnknownNameError
 from flexjoint.effects import effect

@@ -13,7 +13,7 @@ from planting.chain import Array, Body, body_load, inverse_dynamics, read_bodies
 
 from flexjoint.recording.table import Recording, make
 from flexjoint.robot.robot import Robot, load
-from support.example_robots import example_robot_data
+from support.robots.example_robots import example_robot_data
 
 URDF = "robots/ur_description/urdf/ur5_robot.urdf"
 PAN, LIFT, ELBOW, WRIST_1, WRIST_2, WRIST_3 = NAMES = tuple(

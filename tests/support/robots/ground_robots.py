@@ -16,7 +16,7 @@ from flexjoint.robot.robot import Robot, build
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import rollout
 from flexjoint.simulation.trajectory import Trajectory
-from support.arms import waves
+from support.robots.arms import waves
 
 HALF = 0.2  # of the box's width and length [m]
 BOX, FLYWHEEL = 7.5, 0.5  # masses [kg]

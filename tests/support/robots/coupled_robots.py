@@ -11,7 +11,7 @@ from flexjoint.recording.table import Recording
 from flexjoint.recording.table import make as make_recording
 from flexjoint.robot.couplings import Coupling
 from flexjoint.robot.robot import Robot
-from support.arms import SPATIAL, make
+from support.robots.arms import SPATIAL, make
 
 Matrix = tuple[tuple[float, ...], ...]
 UNITY: Matrix = ((1.0, 0.0), (0.0, 1.0))

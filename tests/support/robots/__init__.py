@@ -1,0 +1,1 @@
+"""Robots of the tests: small ones built from text, files of them, and those of example-robot-data."""
