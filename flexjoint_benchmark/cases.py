@@ -18,8 +18,8 @@ from flexjoint_benchmark.planting.cases import (
     single_case,
 )
 from flexjoint_benchmark.planting.catalogue import BEYOND, CATALOGUE
-from flexjoint_benchmark.planting.dirty import dirty
-from flexjoint_benchmark.planting.dirty_case import Dirty
+from flexjoint_benchmark.planting.dirty.case import Dirty
+from flexjoint_benchmark.planting.dirty.dirty import dirty
 
 PARTS = {
     "clean": "one cause, and nominal numbers that are exact, claimed to 2 %",

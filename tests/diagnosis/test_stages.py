@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from planting import PERFECT, ROBOTS, Planted, Recorded, SensorSet, plant
-from planting.sensing import ALL_CHANNELS, robot_noise
+from planting.machine.sensing import ALL_CHANNELS, robot_noise
 from support.diagnose_cases import Case, as_recording, found_in, nominal, summary
 
 from flexjoint.core.errors import RecordingError, UnknownNameError

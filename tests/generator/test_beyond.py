@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planting.by_hand import JOINT, LEVER, lever, lever_gravity, lever_inertia, run, spring
 from planting.catalogue import BEYOND, TWO_JOINTS, Planted
-from planting.drive import Drive
-from planting.machine import Machine
+from planting.machine.by_hand import JOINT, LEVER, lever, lever_gravity, lever_inertia, run, spring
+from planting.machine.drive import Drive
+from planting.machine.machine import Machine
+from planting.machine.sensing import FROM_CURRENT, PERFECT, robot_noise
 from planting.robots import ROBOTS, read_robot
-from planting.sensing import FROM_CURRENT, PERFECT, robot_noise
 from planting.simulate import plant
 from planting.sizes import MET_EFFECTS, usual_effect
 from scipy.integrate import quad, solve_ivp

@@ -9,16 +9,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from planting import outside
-from planting.by_hand import JOINT, LEVER, lever_gravity, lever_inertia, run
 from planting.catalogue import BEYOND, CATALOGUE, OUTSIDE, Planted
-from planting.dirty import KINDS, dirty, moves
-from planting.dirty_case import LARGE
-from planting.dirty_choice import LARGE_CAUSES, SMALL_CAUSES, SMALL_SHARES, UNKNOWN, _feels_weight
-from planting.drive import Drive
-from planting.laws import Equations
+from planting.dirty.case import LARGE
+from planting.dirty.choice import LARGE_CAUSES, SMALL_CAUSES, SMALL_SHARES, UNKNOWN, _feels_weight
+from planting.dirty.dirty import KINDS, dirty, moves
+from planting.machine import outside
+from planting.machine.by_hand import JOINT, LEVER, lever_gravity, lever_inertia, run
+from planting.machine.drive import Drive
+from planting.machine.laws import Equations
+from planting.machine.sensing import PERFECT, Motion, Sensors
 from planting.robots import MOST, read_robot, robot_file, within_tolerance
-from planting.sensing import PERFECT, Motion, Sensors
 from planting.shares import Torques
 from planting.simulate import plant
 from scipy.integrate import cumulative_trapezoid, solve_ivp

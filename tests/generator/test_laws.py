@@ -5,9 +5,18 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from planting.by_hand import JOINT, LEVER, lever, lever_gravity, lever_inertia, lever_state, rate_of, spring
 from planting.cases import usual_effect
-from planting.laws import CATALOGUE, Equations, Planted, _tilted
+from planting.machine.by_hand import (
+    JOINT,
+    LEVER,
+    lever,
+    lever_gravity,
+    lever_inertia,
+    lever_state,
+    rate_of,
+    spring,
+)
+from planting.machine.laws import CATALOGUE, Equations, Planted, _tilted
 from planting.robots import read_robot
 
 

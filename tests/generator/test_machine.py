@@ -7,11 +7,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from planting import simulate
-from planting.by_hand import JOINT, LEVER, lever_gravity, run
-from planting.chain import body_load, inverse_dynamics, mass_matrix
-from planting.laws import Planted
+from planting.machine.by_hand import JOINT, LEVER, lever_gravity, run
+from planting.machine.chain import body_load, inverse_dynamics, mass_matrix
+from planting.machine.laws import Planted
+from planting.machine.sensing import PERFECT
 from planting.robots import ROBOTS, read_robot, robot_file
-from planting.sensing import PERFECT
 from planting.simulate import plant
 from scipy.integrate import solve_ivp
 

@@ -11,11 +11,11 @@ import pinocchio as pin
 import pyarrow.parquet
 import pytest
 from planting import BEYOND, CATALOGUE, FULL, PERFECT, ROBOTS, Planted, plant, read_robot
-from planting.by_hand import JOINT, LEVER, lever_gravity
 from planting.cases import all_cases, single_cases, usual_effect, usual_excitation, write_case
 from planting.catalogue import TWO_JOINTS
-from planting.drive import Drive
-from planting.sensing import robot_noise
+from planting.machine.by_hand import JOINT, LEVER, lever_gravity
+from planting.machine.drive import Drive
+from planting.machine.sensing import robot_noise
 
 NAMES = ("lever", "turret", "crane", "gimbal", "scara", "reach")
 GIMBAL = ROBOTS / "gimbal.yaml"

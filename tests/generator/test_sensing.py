@@ -8,11 +8,10 @@ import numpy as np
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
-from planting.by_hand import JOINT, LEVER
 from planting.cases import usual_effect
-from planting.laws import Planted
-from planting.robots import ROBOTS, deviating, read_robot
-from planting.sensing import (
+from planting.machine.by_hand import JOINT, LEVER
+from planting.machine.laws import Planted
+from planting.machine.sensing import (
     ENCODERS,
     FROM_CURRENT,
     FULL,
@@ -24,6 +23,7 @@ from planting.sensing import (
     Ragged,
     robot_noise,
 )
+from planting.robots import ROBOTS, deviating, read_robot
 from planting.simulate import plant
 
 CRANE, GIMBAL = ROBOTS / "crane.yaml", ROBOTS / "gimbal.yaml"

@@ -1,13 +1,12 @@
 """Planted recordings: what a robot with a known defect would have recorded.
 
-The generator shares no code with the package it helps to test: catalogue.py lists the effects, laws.py writes
-every one down from its definition, chain.py and machine.py have their own dynamics and their own way of
-stepping through dry friction.
+The generator shares no code with the package it helps to test: catalogue.py lists the effects, and machine/
+writes every one down from its definition (laws.py), with its own dynamics (chain.py) and its own way to step
+through dry friction (machine.py).
 """
 
 from .catalogue import BEYOND, CATALOGUE, Planted
-from .robots import ROBOTS, read_robot, robot_file
-from .sensing import (
+from .machine.sensing import (
     ENCODERS,
     FROM_CURRENT,
     FULL,
@@ -19,6 +18,7 @@ from .sensing import (
     Ragged,
     SensorSet,
 )
+from .robots import ROBOTS, read_robot, robot_file
 from .simulate import Recorded, plant
 
 __all__ = [

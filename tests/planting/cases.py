@@ -16,8 +16,8 @@ import numpy as np
 import yaml
 
 from .catalogue import CATALOGUE, TWO_JOINTS, Planted
+from .machine.sensing import ENCODERS, FULL, LINK_SIDE, MOTOR_ONLY, NO_COMMAND, Ragged, SensorSet
 from .robots import robot_file
-from .sensing import ENCODERS, FULL, LINK_SIDE, MOTOR_ONLY, NO_COMMAND, Ragged, SensorSet
 from .simulate import Recorded, plant
 from .sizes import MET_EFFECTS, nominal, rounded, usual_effect, usual_excitation
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .chain import Array
+from .machine.chain import Array
 
 Reference = Callable[[Array], Array]
 """Times (m,) [s] to positions (m, n) [rad]; at rest before t = 0."""

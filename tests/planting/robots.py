@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from .chain import Array, Body, read_bodies
-from .dirty_robots import base_of, dirty_robot
+from .dirty.robots import base_of, dirty_robot
 from .drawn import drawn_robot
+from .machine.chain import Array, Body, read_bodies
 
 ROBOTS = Path(__file__).parent / "robots"
 

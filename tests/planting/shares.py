@@ -14,11 +14,11 @@ import casadi as ca
 import numpy as np
 
 from .catalogue import CATALOGUE, Planted, law
-from .chain import Array, body_load, mass_matrix
-from .drive import Drive
-from .laws import Equations
+from .machine.chain import Array, body_load, mass_matrix
+from .machine.drive import Drive
+from .machine.laws import Equations
+from .machine.sensing import CURRENT, Motion
 from .robots import Robot
-from .sensing import CURRENT, Motion
 from .simulate import Run, nominal_dynamics
 
 SAMPLES = 1500  # at which the equations are evaluated: 8 s of motion at some 200 Hz

@@ -1,8 +1,8 @@
 """Recordings of a real machine under its controller, in the table of the file format.
 
 plant() puts effects into a machine, drives it along an excitation and returns what its sensors and its
-controller would have written down. See laws.py for the laws, machine.py for the time stepping, sensing.py for
-the sensors.
+controller would have written down. In machine/ are the laws (laws.py), the time stepping (machine.py) and the
+sensors (sensing.py).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from .catalogue import Planted, check
-from .chain import Array, body_load, inverse_dynamics
-from .drive import Drive
 from .excitation import Reference, reference
-from .machine import Machine
+from .machine.chain import Array, body_load, inverse_dynamics
+from .machine.drive import Drive
+from .machine.machine import Machine
+from .machine.sensing import CURRENT, MEASURED, TOLD, Motion, Sensors, SensorSet
 from .robots import Robot, deviating, read_robot
-from .sensing import CURRENT, MEASURED, TOLD, Motion, Sensors, SensorSet
 
 STEP_RATE = 5000.0  # Hz, at least; events are located, so a finer step changes nothing above 1e-7 rad
 ON_SPRINGS = ("q", "dq", "tau_t")  # what nobody measures on a rigid joint beside its motor

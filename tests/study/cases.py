@@ -10,7 +10,7 @@
 - drawn: a robot, its controller, sensors and rates drawn at random for each; every fourth is healthy, the
   others have one cause, of any effect
 - dirty, background, unknown: machines with wrong numbers and a background of small errors, under one to three
-  large causes, by itself, and under a large law that no catalogue lists (planting/dirty.py). Their numbers
+  large causes, by itself, and under a large law that no catalogue lists (planting/dirty). Their numbers
   below SEALED are for development and may lead to rules; those from SEALED on are sealed: they are run to
   count, and no rule comes from looking at one.
 """
@@ -39,9 +39,9 @@ from planting import (
 )
 from planting.cases import INEXACT, Case, met_by
 from planting.catalogue import DRY_MOTOR, TWO_JOINTS
-from planting.dirty import dirty
+from planting.dirty.dirty import dirty
 from planting.drawn import in_logarithm
-from planting.sensing import CURRENT
+from planting.machine.sensing import CURRENT
 from planting.sizes import MET_EFFECTS, STEP_EFFECTS, nominal, usual_effect, usual_excitation
 
 EFFECTS = tuple(CATALOGUE)

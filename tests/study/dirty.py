@@ -201,7 +201,7 @@ def section(records: Sequence[Record], table: Callable[..., str]) -> str:
     rows = [(GOALS[key], told(key, held, found), WANTED[key]) for key, found in figures.items()]
     words = (
         "\n## Dirty machines\n\nMachines with wrong numbers and a background of small errors, half of them of"
-        " laws that the catalogue lacks (`tests/planting/dirty.py`): under one to three large causes, alone,"
+        " laws that the catalogue lacks (`tests/planting/dirty`): under one to three large causes, alone,"
         " and under a large law that the catalogue lacks. A cause is large from a tenth of the joint's torque"
         f" on, or where it stands out. Numbers from {SEALED} on are sealed: no rule comes from them.\n"
     )

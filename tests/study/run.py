@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from planting import Planted, robot_file
-from planting.dirty_case import Dirty
+from planting.dirty.case import Dirty
 from support.diagnose_cases import as_recording
 
 import flexjoint

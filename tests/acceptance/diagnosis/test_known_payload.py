@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from planting import ROBOTS, Planted, SensorSet, plant
-from planting.sensing import TOLD
+from planting.machine.sensing import TOLD
 from support.diagnose_cases import as_recording, nominal, summary
 from support.thorough import thorough
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from planting import ROBOTS, Planted, plant
-from planting.sensing import SensorSet
+from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording, summary
 
 from flexjoint.diagnosis.pipeline import diagnose

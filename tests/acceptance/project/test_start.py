@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from planting import ROBOTS, Planted, plant
-from planting.sensing import SensorSet
+from planting.machine.sensing import SensorSet
 from support import fake_diagnosis
 from support.cli_runs import run
 from support.pages import DOCS, blocks

@@ -9,7 +9,7 @@ from functools import cache
 
 import casadi as ca
 import numpy as np
-from planting.chain import Array, Body, body_load, inverse_dynamics, read_bodies
+from planting.machine.chain import Array, Body, body_load, inverse_dynamics, read_bodies
 
 from flexjoint.recording.table import Recording, make
 from flexjoint.robot.robot import Robot, load

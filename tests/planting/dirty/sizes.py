@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .catalogue import OUTSIDE, Planted, law
-from .outside import WOBBLING
-from .robots import Robot
-from .sensing import CURRENT
-from .sizes import rounded
+from ..catalogue import OUTSIDE, Planted, law
+from ..machine.outside import WOBBLING
+from ..machine.sensing import CURRENT
+from ..robots import Robot
+from ..sizes import rounded
 
 TENTH = 0.1
 

@@ -32,20 +32,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from ..catalogue import BEYOND, CATALOGUE, DRY_MOTOR, DRY_OUTSIDE, Law, Planted, check, law, neighbour
+from ..robots import Robot
 from . import outside
-from .catalogue import (
-    BEYOND,
-    CATALOGUE,
-    DRY_MOTOR,
-    DRY_OUTSIDE,
-    Law,
-    Planted,
-    check,
-    law,
-    neighbour,
-)
 from .chain import Array, body_load, inverse_dynamics, mass_matrix, point_load
-from .robots import Robot
 
 __all__ = [
     "BEYOND",

@@ -34,7 +34,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from .catalogue import Planted
+from ..catalogue import Planted
 
 Symbol = ca.SX
 

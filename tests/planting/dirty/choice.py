@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from .catalogue import DRY_MOTOR, OUTSIDE, WITH_STATE, Planted
-from .chain import Array
-from .dirty_case import Dirty, tolerance
-from .dirty_sizes import PRESUMED, Moved, allowed, least, scaled, unsized
-from .drawn import in_logarithm
-from .robots import Robot
-from .sensing import CURRENT
-from .shares import Torques
-from .simulate import Recorded
+from ..catalogue import DRY_MOTOR, OUTSIDE, WITH_STATE, Planted
+from ..drawn import in_logarithm
+from ..machine.chain import Array
+from ..machine.sensing import CURRENT
+from ..robots import Robot
+from ..shares import Torques
+from ..simulate import Recorded
+from .case import Dirty, tolerance
+from .sizes import PRESUMED, Moved, allowed, least, scaled, unsized
 
 SMALL_ERRORS = (4, 9)
 SMALL_SHARES = (0.005, 0.03)  # of the torque's RMS

@@ -10,10 +10,10 @@ from zlib import crc32
 
 import numpy as np
 
-from .catalogue import Planted
+from ..catalogue import Planted
+from ..robots import Robot
 from .chain import Array
 from .outside import series
-from .robots import Robot
 
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")
 TOLD = ("q_ref", "theta_ref", "tau_ff")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from ..robots import ROBOTS, read_robot
 from .laws import Equations
 from .machine import Machine
-from .robots import ROBOTS, read_robot
 
 LEVER = ROBOTS / "lever.yaml"
 JOINT = "swing"

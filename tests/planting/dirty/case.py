@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import yaml
 
-from .cases import Case, truth_of
-from .catalogue import Planted, law
-from .chain import Array
-from .robots import Robot, read_robot, robot_file, within_tolerance
-from .shares import Torques
-from .simulate import Recorded, plant
+from ..cases import Case, truth_of
+from ..catalogue import Planted, law
+from ..machine.chain import Array
+from ..robots import Robot, read_robot, robot_file, within_tolerance
+from ..shares import Torques
+from ..simulate import Recorded, plant
 
 LARGE = 0.1  # share from which a cause is large whatever else there is ...
 ABOVE = 3.0  # ... or which is as many times what its joint's background makes, ...

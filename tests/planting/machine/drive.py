@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from .catalogue import Planted, neighbour
+from ..catalogue import Planted, neighbour
+from ..robots import Robot
 from .chain import Array
-from .robots import Robot
 
 
 class Drive:

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 import yaml
 
-from .chain import body_load, mass_matrix, read_bodies
+from ..machine.chain import body_load, mass_matrix, read_bodies
 
 NAME = re.compile(r"dirty_(.+)_(flexible|mixed|rigid)_(\d+)")
 DAMPING = 3.0  # times less is known of damping than of the other numbers

@@ -15,13 +15,13 @@ from zlib import crc32
 
 import numpy as np
 
-from .chain import Array
-from .dirty_case import Dirty
-from .dirty_choice import adjusted, chosen_for, pick
-from .drawn import in_logarithm
-from .robots import read_robot, robot_file
-from .sensing import CURRENT, FROM_CURRENT, FULL, TOLD, SensorSet
-from .simulate import Recorded
+from ..drawn import in_logarithm
+from ..machine.chain import Array
+from ..machine.sensing import CURRENT, FROM_CURRENT, FULL, TOLD, SensorSet
+from ..robots import read_robot, robot_file
+from ..simulate import Recorded
+from .case import Dirty
+from .choice import adjusted, chosen_for, pick
 
 KINDS = ("causes", "background", "unknown")
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from ..robots import Robot
 from .chain import Array
 from .laws import Equations, Planted
-from .robots import Robot
 
 EVENT_WIDTH = 1e-9  # s to which an event is located
 MAX_EVENTS = 25  # per substep; beyond it the substep is finished in the modes it has

@@ -1,0 +1,1 @@
+"""The real machine: its bodies, drive, laws and sensors, stepped in time."""
