@@ -1,7 +1,8 @@
 """What a target of an export is: its file, and how well it carries each effect of the catalogue.
 
 A target maps effects by name. One that it does not map is left out of the file and named as not expressible:
-a new effect is never carried over by accident, nor lost without a word.
+a new effect is never carried over by accident, nor lost without a word. The robot's own numbers are mapped
+alike, and LEFT_OUT says once what holds for most targets.
 """
 
 from __future__ import annotations
@@ -69,6 +70,13 @@ NUMBERS = {  # what a robot has beside effects, and when it does
     "contacts": lambda robot: bool(robot.contacts),
     "couplings": lambda robot: bool(robot.couplings),
 }
+LEFT_OUT = {  # of NUMBERS, what a file does not hold unless its target says so
+    "spring": absent("joints are rigid there"),
+    "contacts": absent("no collision shapes are written"),
+    "couplings": absent(
+        "each motor turns one joint there: inertia and friction that motors share act on one each"
+    ),
+}
 
 
 def lines(account: Sequence[Row]) -> Iterator[str]:
@@ -91,8 +99,12 @@ class Target(ABC):
     name: ClassVar[str]  # as --to takes it
     title: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]]
-    numbers: ClassVar[Mapping[str, Way]]  # by the keys of NUMBERS
+    numbers: ClassVar[Mapping[str, Way]]  # by the keys of NUMBERS; LEFT_OUT has what is not here
     effects: ClassVar[Mapping[str, Way]]  # by the names of the catalogue
+
+    def of_number(self, name: str) -> Way:
+        """How well it carries a number of the robot, by its key in NUMBERS."""
+        return self.numbers.get(name, LEFT_OUT.get(name, UNMAPPED))
 
     def of_effect(self, name: str) -> Way:
         """How well it carries an effect of the catalogue, at best."""
@@ -104,7 +116,7 @@ class Target(ABC):
 
     def account(self, robot: Robot) -> tuple[Row, ...]:
         """How well it carries what this robot has: its numbers, then its effects in their order."""
-        own = [Row(what, None, self.numbers[what]) for what, has in NUMBERS.items() if has(robot)]
+        own = [Row(what, None, self.of_number(what)) for what, has in NUMBERS.items() if has(robot)]
         return (*own, *(Row(e.effect.name, e.joint, self.judge(robot, e)) for e in robot.effects))
 
     @abstractmethod

@@ -22,7 +22,6 @@ class IsaacLab(Target):
     title = "Isaac Lab"
     suffixes = (".py",)
     numbers: ClassVar[Mapping[str, Way]] = {
-        "spring": absent("joints are rigid there"),
         "motor_inertia": near(f"armature; {UNVERIFIED}"),
         "motor_damping": VISCOUS,
         "torque_limit": near(f"effort_limit and effort_limit_sim; {UNVERIFIED}"),

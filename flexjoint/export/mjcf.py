@@ -71,9 +71,6 @@ class Mjcf(Target):
         "sensing_delay": absent("it belongs to the control law; delay what that reads"),
         "gravity": exact("option gravity; the base frame is the world's"),
         "contacts": absent("add geoms and a ground"),
-        "couplings": absent(
-            "each motor turns one joint there: inertia and friction that motors share act on one each"
-        ),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         "asymmetric_friction": exact(

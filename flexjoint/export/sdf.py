@@ -25,17 +25,12 @@ class Sdf(Mounted):
     title = "Gazebo"
     suffixes = (".sdf",)
     numbers: ClassVar[Mapping[str, Way]] = {
-        "spring": absent("joints are rigid there"),
         "motor_inertia": absent("SDF has no armature"),
         "motor_damping": near(f"dynamics damping, with that of the link; {READ}"),
         "torque_limit": near(f"limit effort; {READ}"),
         "controller": absent("no plugin is written"),
         "sensing_delay": absent("no plugin is written"),
         "gravity": near(f"the base is mounted in the world so that gravity points down z; {READ}"),
-        "contacts": absent("no collision shapes are written"),
-        "couplings": absent(
-            "each motor turns one joint there: inertia and friction that motors share act on one each"
-        ),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **NOTHING,

@@ -103,7 +103,7 @@ def _table() -> Iterator[str]:
     yield f"| | {' | '.join(names)} |"
     yield "|---" * (len(names) + 1) + "|"
     for what in NUMBERS:
-        levels = " | ".join(str(target.numbers[what].level) for target in TARGETS.values())
+        levels = " | ".join(str(target.of_number(what).level) for target in TARGETS.values())
         yield f"| {what.replace('_', ' ')} | {levels} |"
     for effect in catalogue():
         levels = " | ".join(str(target.of_effect(effect).level) for target in TARGETS.values())
@@ -115,7 +115,7 @@ def _table() -> Iterator[str]:
         yield "| | | by what, or why not |"
         yield "|---|---|---|"
         for what in NUMBERS:
-            way = target.numbers[what]
+            way = target.of_number(what)
             yield f"| {what.replace('_', ' ')} | {way.level} | {way.how} |"
         for effect in catalogue():
             way = target.of_effect(effect)

@@ -27,17 +27,12 @@ class Urdf(Mounted):
     title = "URDF"
     suffixes = (".urdf",)
     numbers: ClassVar[Mapping[str, Way]] = {
-        "spring": absent("joints are rigid there"),
         "motor_inertia": absent("a URDF has no armature; give the simulator motor_inertia of the robot file"),
         "motor_damping": DAMPING,
         "torque_limit": near(f"limit effort; {READ}"),
         "controller": absent("a URDF has no controller"),
         "sensing_delay": absent("a URDF has no controller"),
         "gravity": exact("the base is mounted on a link world so that gravity points down z"),
-        "contacts": absent("no collision shapes are written"),
-        "couplings": absent(
-            "each motor turns one joint there: inertia and friction that motors share act on one each"
-        ),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         **NOTHING,
