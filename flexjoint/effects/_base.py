@@ -116,6 +116,7 @@ class Effect:
     alike: ClassVar[tuple[str, ...]] = ()  # numbers that, being equal, leave the effect that it contains
     known_as: ClassVar[tuple[str, ...]] = ()  # effects as which it is named where they fit as well
     on_rigid: ClassVar[str] = ""  # the effect of the motor that it is one with where there is no spring
+    ordinary: ClassVar[bool] = False  # every machine has it: looked for first on a joint that leaves much
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness
 
     # --- what an effect can do -------------------------------------------------------------------

@@ -11,6 +11,7 @@ class MotorCoulombFriction(Effect):
     """Dry friction on the motor shaft; it sticks."""
 
     site, against, reference = Site.MOTOR, "dtheta", "Armstrong-Helouvry et al. 1994"
+    ordinary = True
     law = r"\tau_c \operatorname{sgn}\dot\theta"
     params = (Parameter("level", "N m", r"\tau_c", value=0.2, low=0.0, high=1e4),)
 

@@ -11,6 +11,7 @@ class MotorViscousFriction(Effect):
     """Friction of the motor and gear that grows with the motor's speed, beside the nominal D_m."""
 
     site, kind, against, reference = Site.MOTOR, Kind.MECHANICAL, "dtheta", "Armstrong-Helouvry et al. 1994"
+    ordinary = True
     law = r"d \, \dot\theta"
     params = (Parameter("coefficient", "N m s/rad", "d", value=1.0, low=-1e4, high=1e5),)
 

@@ -3,7 +3,7 @@ nominal model's tolerances marginalised in every step (variable projection)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -97,25 +97,41 @@ def slots_of(effects: Sequence[Planned]) -> tuple[Slot, ...]:
     )
 
 
-def fit(problem: Problem, effects: Sequence[Planned], iterations: int = 12) -> Fit:
-    """Fit all free numbers, starting from the given values; bounds are kept by clipping."""
+def fit(
+    problem: Problem,
+    effects: Sequence[Planned],
+    iterations: int = 12,
+    held: Collection[Planned] = (),
+) -> Fit:
+    """Fit all numbers but those of the effects that are `held`, starting from the given values; bounds are
+    kept by clipping."""
     problem, slots = problem.about(effects), slots_of(effects)
+    free = np.array([not any(effects[slot.effect] is e for e in held) for slot in slots], dtype=bool)
     if not slots:
         y = problem.residual(effects)
         judge = partial(_judged, problem, y, tuple(effects), slots)
         return Fit(problem, tuple(effects), judge, y, np.zeros((0, y.size)), slots)
-    current, y, jacobian = _descend(problem, list(effects), slots, iterations)
+    current, y, jacobian = _descend(problem, list(effects), slots, free, iterations)
     if any(entangles(e) for e in effects):  # the columns of nominal numbers depend on the fitted values
         problem = problem.about(current)
         bent = _bent(problem, current, y)
-        current, y, jacobian = _descend(problem, current, slots, iterations, bent)
+        current, y, jacobian = _descend(problem, current, slots, free, iterations, bent)
     judge = partial(_judged, problem, y, tuple(current), slots)
     return Fit(problem, tuple(_wrap(current)), judge, y, jacobian, slots)
 
 
+def held_beside(effects: Sequence[Planned], tried: Planned) -> list[Planned]:
+    """The effects that need not be fitted again when another one is tried: where that acts within its joint,
+    those within other joints, which share no balance with it."""
+    if not acts_within_a_joint(tried):
+        return []
+    return [e for e in effects if e.joint != tried.joint and acts_within_a_joint(e)]
+
+
 def refit_without(result: Fit, effect: Planned) -> Fit:
     """The set without one of its effects, the others fitted again at the same noise level."""
-    return fit(result.problem, [e for e in result.effects if e is not effect])
+    others = [e for e in result.effects if e is not effect]
+    return fit(result.problem, others, held=held_beside(others, effect))
 
 
 def _bent(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
@@ -142,20 +158,22 @@ def _descend(
     problem: Problem,
     current: list[Planned],
     slots: Sequence[Slot],
+    free: np.ndarray,
     iterations: int,
     bent: np.ndarray | float = 0.0,
 ) -> tuple[list[Planned], np.ndarray, np.ndarray]:
-    """Effects at the nearest minimum of the energy, the residual there and its derivatives; `bent` (`_bent`)
-    is added to all residuals."""
+    """Effects at the nearest minimum of the energy in the slots that are free, the residual there and its
+    derivatives; `bent` (`_bent`) is added to all residuals."""
     y = problem.residual(current) + bent
     energy = problem.energy(y) + _prior(problem, slots, current)
     damping, taken = 1e-3, current  # where each column was taken
     jacobian = jacobian_of(problem, current, slots)
-    for _ in range(iterations):
-        normal, slope = normal_equations(problem, jacobian, y, slots, current)
+    moving = [slot for slot, moves in zip(slots, free, strict=True) if moves]
+    for _ in range(iterations if moving else 0):
+        normal, slope = normal_equations(problem, jacobian[free], y, moving, current)
         enough, better, tried = CONVERGED + 1e-6 * energy, False, False
         while not better and damping < MOST_DAMPING:
-            trial, promised = _step(current, slots, normal, slope, damping)
+            trial, promised = _step(current, moving, normal, slope, damping)
             # the first step is always tried: at a raised noise level even a small gain lowers that level
             if tried and promised is not None and promised < enough:
                 break

@@ -47,9 +47,16 @@ def score(result: Fit) -> float:
     return result.energy + price(result) + (reconstructed + chance) * len(result.effects)
 
 
-def unexplained_energy(result: Fit) -> float:
-    """Energy above that of the predicted noise."""
-    return max(0.0, result.energy - result.problem.noise_energy)
+def unexplained_energy(result: Fit, joint: str | None = None) -> float:
+    """Energy above that of the predicted noise, in all balances or in those of a joint: on a real machine
+    each joint has its own error."""
+    problem = result.problem
+    if joint is None:
+        return max(0.0, result.energy - problem.noise_energy)
+    own = [problem.robot.joints[row.joint].name == joint for row in problem.balances.rows]
+    left = (problem.rest(result.y) * problem.weights).reshape(len(own), -1)[own]
+    noise = problem.freedom / len(own) * np.sum(1.0 / problem.level.inflation[own])
+    return max(0.0, float(np.sum(left**2) - noise))
 
 
 def at_own_level(result: Fit) -> Fit:

@@ -9,12 +9,13 @@ from typing import Self
 
 from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.diagnosis.refinement import refined
+from flexjoint.diagnosis.regression.fit import refit_without
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
 from flexjoint.diagnosis.result import Estimation, Finding, Gain, ResidualView, Step, Unexplained
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.verdict import held_out, verdict
-from flexjoint.diagnosis.verdict.reliability import followed
+from flexjoint.diagnosis.verdict.reliability import by_simulation, followed
 from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
 from flexjoint.diagnosis.verdict.unseen import Unseen, unseen
 from flexjoint.recording.table import Recording
@@ -86,7 +87,16 @@ class StatedCase(SimulatedCase):
     def named(self) -> tuple[Finding, ...]:
         """The findings with the numbers of the balances."""
         gains = held_out.gains(self.problem, self.selection.best)
-        return verdict.findings(self.selection, gains, self.unseen, self.measured, self.spread)
+        return verdict.findings(self.selection, gains, self.unseen, self._simulated, self.spread)
+
+    def _simulated(self, k: int, beside: int) -> float:
+        """How far the simulation on held-out data supports effect k of the set."""
+        if self.measured is None:
+            return 0.0
+        best = self.selection.best
+        less = refit_without(best, best.effects[k])
+        without = held_out.comparison(self.robot, self.recording, self.problem, less, self.measured)
+        return by_simulation(self.measured, without, best.effects[k], best.settings.verdict, beside)
 
     @cached_property
     def estimated(self) -> tuple[tuple[Finding, ...], Estimation | None]:

@@ -58,13 +58,19 @@ def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
 
 
 def on_background(
-    removed: Removed, joints: Sequence[Remaining], settings: VerdictSettings, beside: int = 1
+    removed: Removed,
+    joints: Sequence[Remaining],
+    settings: VerdictSettings,
+    beside: int = 1,
+    ordinary: bool = False,
 ) -> float:
     """Probability that a name is right on a machine that also has a background: many small errors that nobody
     names. It grows with the torque that the cause removes over what a background is at most: the usual one,
     or what is left of the joint's torque where that is less. It is lower where more is left than a usual
     background and the sensors' noise, where a smooth law of one signal would remove much of that, and where
-    many causes are needed on one joint: `beside` counts the convincing ones there, this one included."""
+    many causes are needed on one joint: `beside` counts the convincing ones there, this one included. An
+    `ordinary` cause is one that every machine has: whatever else is left, or acts beside it, says nothing
+    against it."""
     own = next((j for j in joints if j.joint == removed.joint), None)
     if own is None or own.torque <= 0.0:
         return 0.0
@@ -72,26 +78,25 @@ def on_background(
     usual = settings.background_typical * own.torque
     background = max(min(usual, own.after), 1e-9 * usual)  # a recording without noise leaves rounding
     beyond_noise = float(np.sqrt(max(0.0, own.after**2 - own.noise**2)))
-    odds = (
-        settings.background_size * float(np.log10(size / (settings.background_even * background)))
-        - settings.background_more * _decades(beyond_noise / usual)
-        - settings.background_shape * _decades(removed.structured / (settings.background_shaped * size))
-        - settings.belief_crowd * max(0, beside - settings.crowd)
-    )
+    odds = settings.background_size * float(np.log10(size / (settings.background_even * background)))
+    odds -= settings.background_shape * _decades(removed.structured / (settings.background_shaped * size))
+    if not ordinary:
+        odds -= settings.background_more * _decades(beyond_noise / usual)
+        odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 
 
 def by_simulation(
-    measured: Gain | None, planned: Planned, settings: VerdictSettings, beside: int = 1
+    with_it: Gain, without: Gain | None, planned: Planned, settings: VerdictSettings, beside: int = 1
 ) -> float:
     """Probability that a name is right, from the factor by which it lowers the simulated error of its joint
-    on held-out data: a wrong cause may make a balance smaller, but rarely the error of the simulation. 0
-    where that is not known, and for a cause of the whole robot."""
-    if measured is None or planned.joint is None:
+    on held-out data, with the other causes at work and without it: a wrong cause may make a balance smaller,
+    but rarely the error of the simulation. 0 where that is not known, and for a cause of the whole robot."""
+    if without is None or planned.joint is None:
         return 0.0
-    before, after = (table["nrmse"] for table in (measured.before, measured.after))
+    before, after = without.after["nrmse"], with_it.after["nrmse"]
     keys = [key for key in (f"{c}.{planned.joint}" for c in ("q", "theta", "phi")) if key in after]
-    factor = max((before[key] / max(after[key], 1e-300) for key in keys), default=0.0)
+    factor = max((before[key] / max(after[key], 1e-300) for key in keys if key in before), default=0.0)
     odds = settings.simulated_belief * float(np.log10(max(factor, 1e-6) / settings.simulated_factor))
     odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))

@@ -41,23 +41,46 @@ class Unseen:
 def unseen(best: Fit, nothing: Fit) -> Unseen:
     """Residuals of a set of causes, fitted on every second block of two seconds, of the same model without
     each of them, and of the nominal model."""
-    problem = best.problem
-    time, block = problem.balances.chains.t, problem.settings.verdict.held_out_block
-    blocks = held_out_blocks(time[0] + problem.time, block)
-    away = held_out_blocks(time, block)[problem.readings.valid]
-    if np.any(blocks) and not np.all(blocks):
-        problem = problem.at(NoiseLevel(problem.level.inflation)).only(~blocks)
-    else:
-        away = np.arange(away.size) % 2 == 1  # too short for blocks
-    fitted = fit(problem, best.effects)
+    fitted = fit(unseen_problem(best.problem), best.effects)
     problem, numbers = fitted.problem, nominal_deviations(fitted)
-    jumped = problem.jumped(numbers)[:, problem.readings.valid]
+    without = [_left(problem, [e for e in fitted.effects if e is not one], numbers) for one in fitted.effects]
+    after = _left(problem, fitted.effects, numbers)
+    return Unseen(best.problem, away(problem), _nominal(nothing), after, tuple(without))
 
-    def left(effects: Sequence[Planned]) -> np.ndarray:
-        return _of(problem, [*problem.with_nominal(effects), *deviation_effects(problem, numbers)]) - jumped
 
-    without = [left([e for e in fitted.effects if e is not one]) for one in fitted.effects]
-    return Unseen(best.problem, away, _nominal(nothing), left(fitted.effects), tuple(without))
+def unseen_problem(problem: Problem) -> Problem:
+    """The problem with every second block of two seconds counted only; all samples of a short recording."""
+    blocks = held_out_blocks(
+        problem.balances.chains.t[0] + problem.time, problem.settings.verdict.held_out_block
+    )
+    if np.any(blocks) and not np.all(blocks):
+        return problem.at(NoiseLevel(problem.level.inflation)).only(~blocks)
+    return problem
+
+
+def away(problem: Problem) -> np.ndarray:
+    """(N,) bool: usable samples that a fit of `unseen_problem` does not see; every second one of a recording
+    that is too short for blocks."""
+    blocks = held_out_blocks(problem.balances.chains.t, problem.settings.verdict.held_out_block)
+    blocks = blocks[problem.readings.valid]
+    return blocks if np.any(blocks) and not np.all(blocks) else np.arange(blocks.size) % 2 == 1
+
+
+def joint_left(fitted: Fit, joint: str) -> tuple[float, tuple[float, ...]]:
+    """[N m] RMS of what a fit of `unseen_problem` leaves where it did not look: of a joint's torque, and of
+    each of its balances."""
+    problem, j = fitted.problem, fitted.problem.robot.joint_names.index(joint)
+    left = _left(problem, fitted.effects, nominal_deviations(fitted))[:, away(problem)]
+    total = _total(problem.balances, left, j)
+    own = [row.joint == j for row in problem.balances.rows]
+    balances = tuple(float(x) for x in np.sqrt(np.mean(left[own] ** 2, axis=1)))
+    return (0.0 if total is None else float(np.sqrt(np.mean(total**2)))), balances
+
+
+def _left(problem: Problem, effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
+    """(rows, N) what effects leave beside deviations (numbers,) of the nominal numbers."""
+    every = [*problem.with_nominal(effects), *deviation_effects(problem, numbers)]
+    return _of(problem, every) - problem.jumped(numbers)[:, problem.readings.valid]
 
 
 def _nominal(nothing: Fit) -> np.ndarray:
@@ -138,14 +161,20 @@ def _noise(problem: Problem) -> list[float]:
     return out
 
 
+def beyond_background(joints: Sequence[Remaining], settings: VerdictSettings) -> tuple[Remaining, ...]:
+    """Joints of which more is left than noise and a background make, most first."""
+    limit = [max(settings.above_noise * joint.noise, settings.finished * joint.torque) for joint in joints]
+    out = [joint for joint, most in zip(joints, limit, strict=True) if joint.after >= most]
+    return tuple(sorted(out, key=lambda joint: -joint.after / max(joint.torque, 1e-300)))
+
+
 def unfinished(joints: Sequence[Remaining], settings: VerdictSettings) -> tuple[Remaining, ...]:
     """Joints at which some cause is still missing: more is left than noise and a background make, and this is
     either most of what there was, or a smooth law of one signal removes much of it."""
     out = []
-    for joint in joints:
-        small = joint.after < max(settings.above_noise * joint.noise, settings.finished * joint.torque)
+    for joint in beyond_background(joints, settings):
         shaped = joint.structured**2 > settings.unfinished_shape * joint.before**2
-        if not small and (shaped or joint.after**2 > settings.unfinished_share * joint.before**2):
+        if shaped or joint.after**2 > settings.unfinished_share * joint.before**2:
             out.append(joint)
     return tuple(out)
 

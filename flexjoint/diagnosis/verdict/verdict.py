@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,14 +10,14 @@ import numpy as np
 
 from flexjoint.diagnosis.regression.fit import Fit
 from flexjoint.diagnosis.regression.uncertainty import Errors, standard_errors
-from flexjoint.diagnosis.result import Finding, Fitted, Gain, Ranked, WithinTolerance
+from flexjoint.diagnosis.result import Finding, Fitted, Ranked, WithinTolerance
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
     needs_implausible,
 )
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
-from flexjoint.diagnosis.verdict.reliability import by_simulation, left_by, on_background, reliability
+from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability
 from flexjoint.diagnosis.verdict.ties import preferred, ties
 from flexjoint.diagnosis.verdict.unseen import Unseen, remaining, removed
 from flexjoint.effects import Kind, Planned, Site
@@ -27,10 +27,12 @@ def findings(
     selection: Selection,
     gains: Sequence[float],
     data: Unseen,
-    measured: Gain | None,
+    simulated: Callable[[int, int], float],
     spread: Mapping[Key, Errors] | None = None,
 ) -> tuple[Finding, ...]:
-    """The chosen effects as findings, the largest gain first; `spread` replaces their standard errors."""
+    """The chosen effects as findings, the largest gain first; `spread` replaces their standard errors.
+    `simulated` tells how far the simulation supports effect k, beside so many convincing ones on its joint:
+    it takes long, and is asked where the balances do not convince."""
     best = selection.best
     if not best.effects:
         return ()
@@ -39,11 +41,15 @@ def findings(
     sliding = best.problem.robot.prismatic
     out: list[Finding] = []
     cleared = [removed(data, k) for k in range(len(best.effects))]
-    convincing = [on_background(one, joints, limits) >= limits.likely for one in cleared]
+    ordinary = [e.effect.ordinary for e in best.effects]
+    convincing = [
+        on_background(one, joints, limits, ordinary=usual) >= limits.likely
+        for one, usual in zip(cleared, ordinary, strict=True)
+    ]
     for k, planned in enumerate(best.effects):
-        # what a sensor adds to its reading is no rival of what moves the joint
+        # what every machine has, or a sensor adds to its reading, is no rival of what moves the joint
         beside = sum(
-            there and e.joint == planned.joint and e.effect.site is not Site.SENSOR
+            there and e.joint == planned.joint and not e.effect.ordinary and e.effect.site is not Site.SENSOR
             for e, there in zip(best.effects, convincing, strict=True)
         )
         listed = next((e for e in best.problem.nominal if e.key == planned.key), None)
@@ -53,9 +59,10 @@ def findings(
         left, share = left_by(best, selection.nothing, k)
         believed = max(
             reliability(best, left, share, k),
-            on_background(cleared[k], joints, limits, beside),
-            by_simulation(measured, planned, limits, beside),
+            on_background(cleared[k], joints, limits, beside, ordinary[k]),
         )
+        if believed < limits.likely:
+            believed = max(believed, simulated(k, beside))
         out.append(
             Finding(
                 planned.effect.name,
