@@ -1,4 +1,4 @@
-"""`flexjoint paper ...`: the experiments of Kashiri et al. 2017, as tables."""
+"""`flexjoint paper ...`: the experiments of Kameduła et al. 2016, as tables."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LEFT = ("run", "signal", "spring", "tau_ff; theta_d", "pose")  # columns of word
 
 def add(commands: Any) -> None:
     """Register the command and its experiments; one more experiment is one more parser here."""
-    paper = commands.add_parser("paper", help="reproduce the experiments of Kashiri et al. 2017")
+    paper = commands.add_parser("paper", help="reproduce the experiments of Kameduła et al. 2016")
     experiments = paper.add_subparsers(required=True, metavar="EXPERIMENT")
     one_link = experiments.add_parser("one-link", help="section 5.1: one link on three springs")
     one_link.add_argument(

@@ -1,4 +1,4 @@
-"""Section 5.1 of Kashiri et al. 2017: one link on a spring, its step responses and a varying reference.
+"""Section 5.1 of Kameduła et al. 2016: one link on a spring, its step responses and a varying reference.
 
 Two exact solutions are measured against, and they differ: with control held between ticks at 1 kHz, as a
 digital controller does (what a scheme at 1 kHz should give), and with continuous control (what the paper's
@@ -210,8 +210,8 @@ RUNS: Mapping[str, tuple[str, float]] = {
     "default scheme, 2 kHz": (DEFAULT, 2000.0),
     "rk4, 1 kHz": ("rk4", 1000.0),
     "rk4, 2 kHz": ("rk4", 2000.0),
-    "kashiri2017, 1 kHz": ("kashiri2017", 1000.0),
-    "kashiri2017_new, 1 kHz": ("kashiri2017_new", 1000.0),
+    "kamedula2016, 1 kHz": ("kamedula2016", 1000.0),
+    "kamedula2016_new, 1 kHz": ("kamedula2016_new", 1000.0),
 }
 
 

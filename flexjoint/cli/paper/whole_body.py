@@ -1,4 +1,4 @@
-"""Section 5.2 of Kashiri et al. 2017: CENTAURO goes from its initial pose to a spider's and a mammal's.
+"""Section 5.2 of Kameduła et al. 2016: CENTAURO goes from its initial pose to a spider's and a mammal's.
 
 The paper gives no reference trajectories. Here the feet stay on the ground and roll: the wheels turn into the
 direction in which their foot will move, the legs move while the wheels roll with them, and the wheels sway

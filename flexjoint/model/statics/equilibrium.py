@@ -1,7 +1,7 @@
 """Static law of a robot with flexible joints: what holds a link position at rest.
 
 g(q) holds the links, a spring deflection that carries it puts the motor at theta_d = q_d + g(q_d)/K (Tomei
-1991; Kashiri et al. 2017, section 3). Springs that are not linear are inverted by Newton's method, the
+1991; Kameduła et al. 2016, section 3). Springs that are not linear are inverted by Newton's method, the
 command's way to the motor too.
 """
 
