@@ -11,6 +11,7 @@ from pathlib import Path
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.files import write_text
+from flexjoint.core.progress import Report, silent
 from flexjoint.report.view import browser
 from flexjoint.report.view.scene import Scene, packed
 
@@ -54,17 +55,25 @@ class Page:
         return range(0, len(self.scene.times), max(1, every))
 
     def write_images(
-        self, folder: str | os.PathLike[str], size: tuple[int, int] = (1280, 800), every: int = 1
+        self,
+        folder: str | os.PathLike[str],
+        size: tuple[int, int] = (1280, 800),
+        every: int = 1,
+        progress: Report | None = None,
     ) -> list[Path]:
         """Every so many frames as PNG, by a headless Chromium; NoBrowserError where there is none."""
-        return browser.images(self.html(), self.frames(every), Path(folder), size)
+        return browser.images(self.html(), self.frames(every), Path(folder), size, progress or silent)
 
     def write_video(
-        self, path: str | os.PathLike[str], size: tuple[int, int] = (1280, 800), every: int = 1
+        self,
+        path: str | os.PathLike[str],
+        size: tuple[int, int] = (1280, 800),
+        every: int = 1,
+        progress: Report | None = None,
     ) -> Path:
         """The frames as a video, by a headless Chromium and ffmpeg."""
-        rate = self.rate / max(1, every)
-        return browser.video(self.html(), self.frames(every), rate, Path(path), size)
+        rate, frames = self.rate / max(1, every), self.frames(every)
+        return browser.video(self.html(), frames, rate, Path(path), size, progress or silent)
 
     def _repr_html_(self) -> str:
         text = html.escape(self.html(), quote=True)
