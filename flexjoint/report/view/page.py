@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from flexjoint.core.errors import FlexJointError
+from flexjoint.core.errors import MissingExtraError
 from flexjoint.core.files import write_text
 from flexjoint.core.progress import Report, silent
 from flexjoint.report.view import browser
@@ -30,7 +30,7 @@ class Page:
         parts = {
             "title": html.escape(self.scene.title),
             "style": (ASSETS / "style.css").read_text(encoding="utf-8"),
-            "meshcat": _meshcat(),
+            "meshcat": meshcat_viewer(),
             "scene": packed(self.scene),
             "player": (ASSETS / "player.js").read_text(encoding="utf-8"),
         }
@@ -81,11 +81,11 @@ class Page:
 
 
 @lru_cache(maxsize=1)
-def _meshcat() -> str:
-    """MeshCat's viewer as its package ships it, licences first."""
+def meshcat_viewer() -> str:
+    """MeshCat's viewer as its package ships it, licences first; MissingExtraError where there is none."""
     found = importlib.util.find_spec("meshcat")  # its files are needed, not its server
     if found is None or found.origin is None:
-        raise FlexJointError("meshcat is not installed; install it with: pip install meshcat")
+        raise MissingExtraError("meshcat", "report")
     folder = Path(found.origin).parent / "viewer"
     licence = (folder / "LICENSE").read_text(encoding="utf-8").replace("*/", "* /")
     return f"/*\n{licence}*/\n" + (folder / "dist" / "main.min.js").read_text(encoding="utf-8")
