@@ -59,6 +59,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Do what the arguments ask for."""
     from flexjoint.cli import outputs as cli_outputs
     from flexjoint.report.progress import Progress
+    from flexjoint.report.view.page import meshcat_viewer
 
     size = _size(arguments.size)
     for path, suffixes in ((arguments.html, (".html", ".htm")), (arguments.video, (".mp4", ".webm", ".mkv"))):
@@ -66,10 +67,11 @@ def run(arguments: argparse.Namespace) -> None:
             cli_outputs.check_place(path, suffixes, [Path(arguments.robot), *arguments.recordings])
     if arguments.images is not None and arguments.images.exists() and not arguments.images.is_dir():
         raise FlexJointError(f"cannot write images into {arguments.images}: it is a file; give a folder")
+    meshcat_viewer()  # complains before the work, not after it
     if arguments.images is not None or arguments.video is not None:
         from flexjoint.report.view import browser
 
-        browser.find()  # complains before the work, not after it
+        browser.find()
         if arguments.video is not None:
             browser.find_encoder()
     page = _page(arguments, options.load_chosen(arguments, actuated=False))
