@@ -40,6 +40,7 @@ PHYSICS, CONTROL = 2000, 1000  # Hz, f_s and f_c of the section
 KNOT = 0.05  # [s] between the poses whose loads are computed; between them by cubic splines
 NUDGE = 1e-4  # of the way between two poses, for the direction in which a foot goes
 Gravity = Literal["none", "gravity", "contact"]
+Motor = Literal["link", "load"]
 GRAVITY: Mapping[str, str] = {"none": "none", "gravity": "g", "contact": "g - J'l"}  # l: lambda
 MOTOR: Mapping[str, str] = {"link": "q_d", "load": "q_d+g/K"}
 SHOWN: Mapping[str, str] = {  # Fig. 8 and 9; the shoulder is its pitch
@@ -60,7 +61,7 @@ class Sway:
     angle: float
 
 
-# in the mammal pose not for long: on free wheels the robot tips over some eight seconds after its move
+# in the mammal pose not for long: on wheels that hold no place the robot tips over seven seconds after its move
 SWAYS: Mapping[str, Sway] = {"spider": Sway(15.0, 5.0, 1.2), "mammal": Sway(3.0, 3.0, 0.6)}
 
 
@@ -117,12 +118,14 @@ class Hold:
 
 @dataclass(frozen=True)
 class Run:
-    """One variant: its trajectory at f_s, and what its holds say, spider and mammal."""
+    """One variant: its trajectory at f_s, what its holds say, spider and mammal, and what it followed."""
 
     gravity: str
     motor: str
     trajectory: Trajectory
     holds: tuple[Hold, ...]
+    plan: Plan
+    timing: Timing
 
 
 @cache
@@ -258,6 +261,24 @@ def quickest() -> Engine:
     return "compiled" if compilers() else "pin"
 
 
+def paper_whole_body(
+    gravity: Gravity = "none", motor: Motor = "link", *, timing: Timing = TIMING, engine: Engine = "auto"
+) -> Run:
+    """CENTAURO from its initial to a spider's and a mammal's pose: section 5.2 of Kameduła et al. 2016, one
+    variant of it (docs/whole_body.md).
+
+    Args:
+        gravity: the feed-forward torque: none, g(q_d) (`gravity`), or g(q_d) - J_c' lambda (`contact`).
+        motor: theta_d is q_d (`link`), or q_d + g/K of the load that is known (`load`).
+        timing: durations of the motion [s].
+        engine: as of a simulation; a minute of motion takes the pin loop half a minute.
+
+    Raises:
+        UnknownNameError: for another name. MissingExtraError: the robot's description is not installed.
+    """
+    return run(gravity, motor, quickest() if engine == "auto" else engine, timing)
+
+
 @cache
 def run(gravity: str, motor: str, which: Engine, timing: Timing = TIMING) -> Run:
     """One variant, from rest in the initial pose. Raises UnknownNameError."""
@@ -267,7 +288,7 @@ def run(gravity: str, motor: str, which: Engine, timing: Timing = TIMING) -> Run
     holds = tuple(
         _hold(model, tape, commands, POSES[k], timing.wait + k * timing.leg) for k in range(1, len(POSES))
     )
-    return Run(gravity, motor, tape, holds)
+    return Run(gravity, motor, tape, holds, plan(timing), timing)
 
 
 def simulated(
