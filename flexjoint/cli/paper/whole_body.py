@@ -61,7 +61,7 @@ class Sway:
     angle: float
 
 
-# in the mammal pose not for long: on wheels that hold no place the robot tips over seven seconds after its move
+# in the mammal pose not for long: on such wheels the robot tips over some seven seconds after its move
 SWAYS: Mapping[str, Sway] = {"spider": Sway(15.0, 5.0, 1.2), "mammal": Sway(3.0, 3.0, 0.6)}
 
 
