@@ -127,7 +127,7 @@ def test_the_command_prints_the_tables_and_draws(tmp_path: Path, capsys: pytest.
     assert "spider" in out and "mammal" in out and "wrote" in out
     page = (tmp_path / "whole-body.html").read_text(encoding="utf-8")
     assert page.count("<img") == 2 * 6 + 4  # Fig. 8 and 9, three rows of two joints; the errors of four
-    assert "Fig. 8" in page and "Fig. 9" in page and "largest speed" in page
+    assert "Fig. 8" in page and "Fig. 9" in page and "speed [rad/s]" in page
     assert not re.findall('(?:src|href)="(?!data:)', page)  # opens offline
 
 

@@ -42,7 +42,7 @@ def grids(engine: Engine, report: Report = silent) -> list[Grid]:
         for hold in whole_body.run(gravity, motor, engine).holds:
             errors = [f"{1e3 * hold.error[i]:+.1f}" for i in shown.values()]
             worst = whole_body.largest(hold.error), whole_body.largest(hold.error - hold.law)
-            rows.append([title, hold.pose, *errors, f"{1e3 * worst[0]:.1f}", f"{1e3 * worst[1]:.3f}"])
+            rows.append([title, hold.pose, *errors, f"{1e3 * worst[0]:.1f}", f"{1e3 * worst[1]:.0e}"])
     head = ["tau_ff; theta_d", "pose", *shown, "any", "law"]
     held = Grid("q - q_d at rest, in mrad", head, rows, ("pose",), LAW)
     rows = []
@@ -50,7 +50,7 @@ def grids(engine: Engine, report: Report = silent) -> list[Grid]:
         report((len(variants()) - 1 + k) / count, "other durations")
         run = whole_body.run(*FIRST, engine, timing)
         rows += _durations(run, timing, list(shown.values()))
-    head = ["move; stand [s]", "pose", *shown, "largest speed [rad/s]", "largest tau_m [N m]"]
+    head = ["move; stand [s]", "pose", *shown, "speed [rad/s]", "tau_m [N m]"]
     of = f"tau_ff {whole_body.GRAVITY[FIRST[0]]}, theta_d = {whole_body.MOTOR[FIRST[1]]}"
     report(1.0, "")
     return [held, Grid(f"{of}: q - q_d at rest, in mrad", head, rows, ("pose",), DURATIONS)]
