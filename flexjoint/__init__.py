@@ -15,14 +15,16 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # what type checkers and editors see of the table below
+    from flexjoint.cli.paper.whole_body import paper_whole_body
     from flexjoint.core.errors import FlexJointError
     from flexjoint.core.parameter import Parameter
     from flexjoint.design.gains import lqr, motor_pd, place
     from flexjoint.design.linearise import linearise
     from flexjoint.design.margins import margins
     from flexjoint.design.robustness import worst_case
+    from flexjoint.design.stability_limits import longest_period, scheme_limits, stiffness_locus
     from flexjoint.design.tomei import tomei
-    from flexjoint.design.verification import verify
+    from flexjoint.design.verification import StepTest, verify
     from flexjoint.diagnosis.comparison.compare import Comparison, compare
     from flexjoint.diagnosis.data.check import DataCheck, check_data
     from flexjoint.diagnosis.followup.agreement.agreement import agreement
@@ -35,16 +37,18 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.export.targets import Exported, export_robot
     from flexjoint.model.dynamics import FlexibleJointModel
     from flexjoint.model.statics.equilibrium import equilibrium
+    from flexjoint.model.statics.standing import standing
     from flexjoint.model.statics.static_law import static_error
     from flexjoint.recording.importing import import_log
     from flexjoint.recording.table import Recording
     from flexjoint.recording.table import make as make_recording
     from flexjoint.recording.table import read as read_recording
-    from flexjoint.report.view import view
+    from flexjoint.report.view import Motion, still, view
     from flexjoint.rigidbody.functions import rigid_body_functions
     from flexjoint.robot.robot import Robot, shipped_robots
     from flexjoint.robot.robot import load as load_robot
     from flexjoint.simulation.live import LiveSimulation
+    from flexjoint.simulation.options import RunOptions
     from flexjoint.simulation.simulate import Simulation, simulate
 
 __all__ = [
@@ -57,11 +61,14 @@ __all__ = [
     "FlexJointError",
     "FlexibleJointModel",
     "LiveSimulation",
+    "Motion",
     "Parameter",
     "Plan",
     "Recording",
     "Robot",
+    "RunOptions",
     "Simulation",
+    "StepTest",
     "agreement",
     "catalogue",
     "check",
@@ -74,17 +81,23 @@ __all__ = [
     "import_log",
     "linearise",
     "load_robot",
+    "longest_period",
     "lqr",
     "make_recording",
     "margins",
     "motor_pd",
+    "paper_whole_body",
     "place",
     "plan",
     "read_recording",
     "rigid_body_functions",
+    "scheme_limits",
     "shipped_robots",
     "simulate",
+    "standing",
     "static_error",
+    "stiffness_locus",
+    "still",
     "tomei",
     "verify",
     "view",
@@ -101,12 +114,15 @@ _PLACES = {  # name: module and what it is called there
     "FlexJointError": ("core.errors", "FlexJointError"),
     "FlexibleJointModel": ("model.dynamics", "FlexibleJointModel"),
     "LiveSimulation": ("simulation.live", "LiveSimulation"),
+    "Motion": ("report.view", "Motion"),
     "Parameter": ("core.parameter", "Parameter"),
     "Plan": ("diagnosis.followup.experiment", "Plan"),
     "Recording": ("recording.table", "Recording"),
     "Robot": ("robot.robot", "Robot"),
+    "RunOptions": ("simulation.options", "RunOptions"),
     "Simulation": ("simulation.simulate", "Simulation"),
     "agreement": ("diagnosis.followup.agreement.agreement", "agreement"),
+    "StepTest": ("design.verification", "StepTest"),
     "catalogue": ("effects", "catalogue"),
     "check": ("diagnosis.followup.checking.check", "check"),
     "check_data": ("diagnosis.data.check", "check_data"),
@@ -118,17 +134,23 @@ _PLACES = {  # name: module and what it is called there
     "import_log": ("recording.importing", "import_log"),
     "linearise": ("design.linearise", "linearise"),
     "load_robot": ("robot.robot", "load"),
+    "longest_period": ("design.stability_limits", "longest_period"),
     "lqr": ("design.gains", "lqr"),
     "make_recording": ("recording.table", "make"),
     "margins": ("design.margins", "margins"),
     "motor_pd": ("design.gains", "motor_pd"),
+    "paper_whole_body": ("cli.paper.whole_body", "paper_whole_body"),
     "place": ("design.gains", "place"),
     "plan": ("diagnosis.followup.experiment", "plan"),
     "read_recording": ("recording.table", "read"),
     "rigid_body_functions": ("rigidbody.functions", "rigid_body_functions"),
+    "scheme_limits": ("design.stability_limits", "scheme_limits"),
     "shipped_robots": ("robot.robot", "shipped_robots"),
     "simulate": ("simulation.simulate", "simulate"),
+    "standing": ("model.statics.standing", "standing"),
     "static_error": ("model.statics.static_law", "static_error"),
+    "stiffness_locus": ("design.stability_limits", "stiffness_locus"),
+    "still": ("report.view", "still"),
     "tomei": ("design.tomei", "tomei"),
     "verify": ("design.verification", "verify"),
     "view": ("report.view", "view"),

@@ -169,7 +169,7 @@ def motor_pd(
     Raises:
         ModelError: a bandwidth that the spring does not let through; the message has the reachable ones.
 
-    Source: Kashiri et al. 2017, equation 4; the pole pair from De Luca and Book 2016, section 11.2 (one
+    Source: Kameduła et al. 2016, equation 4; the pole pair from De Luca and Book 2016, section 11.2 (one
     elastic joint).
     """
     n = len(model.joints)

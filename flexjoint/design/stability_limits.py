@@ -27,7 +27,7 @@ from flexjoint.simulation.schemes.stability import check_stability
 if TYPE_CHECKING:
     import control
 
-FIXED_STEP = (DEFAULT, "semi_implicit_euler", "explicit_euler", "kashiri2017", "rk4")
+FIXED_STEP = (DEFAULT, "semi_implicit_euler", "explicit_euler", "kamedula2016", "rk4")
 LONGEST_MEMORY = 40  # ticks of dead time up to which shorter periods are tried
 SHORTEST = 1e-5  # s, the shortest period and step tried
 STEP = 1.03  # between two periods tried: a band of instability narrower than that may be missed

@@ -3,7 +3,7 @@
     M(q) a + nle(q, v) = tau_t + tau_link        B ddtheta + D_m dtheta + tau_t = tau + tau_motor
     tau_t = K (theta - q) + D (dtheta - dq) + ...
 
-(Spong 1987; Kashiri et al. 2017, equations 1 to 3.) A rigid joint (infinite stiffness) has theta = q: its
+(Spong 1987; Kameduła et al. 2016, equations 1 to 3.) A rigid joint (infinite stiffness) has theta = q: its
 motor's inertia and damping act on the link. A joint that is not actuated swings freely. Motors that turn with
 several joints are shafts (`flexjoint.model.shafts`). The class serves numbers and CasADi alike: the body it
 is given decides (`PinBody` or `SymbolicBody`)."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flexjoint.core.errors import RecordingError
+from flexjoint.core.running.progress import Report, part, silent
 from flexjoint.recording import table
 from flexjoint.recording.formats import (
     hdf5,
@@ -35,15 +36,16 @@ BY_SUFFIX: dict[str, Callable[[Path], Log]] = {
     for suffix in module.SUFFIXES
 }
 TABLES = (".csv", ".parquet")
+READING = 0.9  # share of the time of importing messages
 
 
-def open_log(source: str | os.PathLike[str], episode: int | None = None) -> Log:
-    """The log at a path, as it is; RecordingError says what is wrong, MissingExtraError which package is"
-    " needed."""
+def open_log(source: str | os.PathLike[str], episode: int | None = None, report: Report = silent) -> Log:
+    """The log at a path, as it is; RecordingError says what is wrong, MissingExtraError which package is
+    needed. Messages of ROS, which are read one by one, are reported."""
     path = Path(source)
     _check_there(path)
     if path.is_dir() and rosbag.is_folder(path):
-        return rosbag.read(path)
+        return rosbag.read(path, report)
     if (path.is_dir() or path.suffix == ".parquet") and lerobot.folder_of(path) is not None:
         return lerobot.read(path, episode)
     if path.is_dir():
@@ -55,6 +57,9 @@ def open_log(source: str | os.PathLike[str], episode: int | None = None) -> Log:
         )
     if path.stat().st_size == 0:
         raise refusal(path, "is empty", " ")
+    for module in (mcap, rosbag):
+        if suffix in module.SUFFIXES:
+            return module.read(path, report)
     return BY_SUFFIX[suffix](path)
 
 
@@ -62,6 +67,7 @@ def import_log(
     source: str | os.PathLike[str],
     mapping: MappingFile | Mapping[str, Any] | str | os.PathLike[str] = EMPTY,
     robot: Robot | None = None,
+    progress: Report | None = None,
 ) -> Imported:
     """The recording of a log of any format, with an account of what was understood (docs/importing.md).
 
@@ -70,6 +76,7 @@ def import_log(
         mapping: what the log and its format do not say: a mapping file, or its keys (docs/formats.md).
         robot: names joints in its order where the log names none, leaves out those that it does not have, and
             gives gear ratios and torque constants that nobody else states.
+        progress: called with a share in [0, 1] and what is being done.
 
     Raises RecordingError where the log is unusable or leaves a doubt, with the option that answers it;
     MissingExtraError where the format's library is not installed.
@@ -78,7 +85,13 @@ def import_log(
         mapping = mappings.read(mapping)
     elif not isinstance(mapping, MappingFile):
         mapping = mappings.parse(mapping)
-    return converted(open_log(source, mapping.episode), mapping, robot)
+    report = progress or silent
+    report(0.0, "reading")
+    log = open_log(source, mapping.episode, part(report, 0.0, READING))
+    report(READING, "converting")
+    imported = converted(log, mapping, robot)
+    report(1.0, "")
+    return imported
 
 
 def read(

@@ -53,11 +53,12 @@ def html(material: Material) -> str:
         limits=limits.build(material),
         trace=trace.build(material),
         footer=footer.build(material),
-        script=_script(),
+        script=script(),
     )
 
 
-def _script() -> Script:
+def script() -> Script:
+    """What enlarges plots and sorts tables."""
     text = resources.files("flexjoint.report").joinpath("templates/page.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
     return Script(Markup(text), f"sha256-{digest}")

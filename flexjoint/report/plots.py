@@ -123,6 +123,34 @@ def errors(
         return _image(figure, alt)
 
 
+Curve = tuple[np.ndarray, np.ndarray]  # time (N,) [s] and values (N,)
+
+
+def curves(
+    label: str,
+    alt: str,
+    wide: Curve | None = None,
+    dashed: Curve | None = None,
+    full: Curve | None = None,
+    until: float | None = None,
+) -> Image:
+    """Up to three signals over time, wide grey, dashed orange and full blue, up to a time [s]."""
+    styles = (
+        (wide, {"color": MEASURED, "linewidth": 2.8}),
+        (dashed, {"color": BEFORE, "dashes": DASHES}),
+        (full, {"color": AFTER}),
+    )
+    with _styled():
+        figure, axes = _axes("time [s]", label)
+        for curve, style in styles:
+            if curve is not None:
+                time, values = curve
+                shown = slice(None) if until is None else time <= until
+                axes.plot(*series.thinned(time[shown], values[shown], BUCKETS), **style)
+                _tight(axes, time[shown])
+        return _image(figure, alt)
+
+
 def dependence(
     x: np.ndarray,
     before: np.ndarray,

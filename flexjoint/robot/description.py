@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
-from flexjoint.core.errors import RobotError, unknown
+from flexjoint.core.errors import MissingExtraError, RobotError, unknown
 from flexjoint.core.messages import one_line
 from flexjoint.core.running import native_output
 from flexjoint.robot import ready_made
@@ -22,6 +22,7 @@ from flexjoint.robot.schema import RobotFile
 
 KINDS = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}  # root element: key of the robot file
 NAMED = ("package://", ready_made.SCHEME)  # before what is no path
+EXAMPLES = "example-robot-data"  # a package of descriptions, and their folder in it
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
 PARSE_ERRORS = (ElementTree.ParseError, ValueError, RuntimeError, LookupError, OSError)
 SAID = 200  # characters of what a parser says
@@ -76,14 +77,12 @@ def has_free_joint(description: Description) -> bool:
 
 
 def example_robot_data() -> Path:
-    """The folder that package:// of the installed example-robot-data resolves against."""
+    """The folder that package:// of the installed example-robot-data resolves against; MissingExtraError
+    where it is not installed."""
     try:
-        wheel = importlib.metadata.distribution("example-robot-data")
+        wheel = importlib.metadata.distribution(EXAMPLES)
     except importlib.metadata.PackageNotFoundError:
-        raise RobotError(
-            "example-robot-data is not installed, which holds this robot's description; install it with:"
-            " pip install example-robot-data"
-        ) from None
+        raise MissingExtraError(EXAMPLES, "example-robots") from None
     return Path(str(wheel.locate_file("cmeel.prefix/share")))
 
 
@@ -100,6 +99,8 @@ def find(file: RobotFile, path: Path) -> Path:
         for folder in folders:
             if (folder / rest).is_file():
                 return folder / rest
+        if rest.startswith(f"{EXAMPLES}/"):
+            example_robot_data()  # says what to install
         raise RobotError(
             f"{path}: {kind.upper()} {name!r} not found under {', '.join(map(str, folders))}; add its folder"
             " to package_dirs"
@@ -113,13 +114,17 @@ def find(file: RobotFile, path: Path) -> Path:
 
 
 def package_dirs(file: RobotFile, path: Path) -> tuple[Path, ...]:
-    """Where package:// is looked up: the file's own folders, its own place, example-robot-data."""
+    """Where package:// is looked up: the file's own folders, its own place, example-robot-data where it is
+    installed."""
     own = [path.parent / folder for folder in file.package_dirs]
     name = file.description[1]
     if name.startswith(ready_made.SCHEME):
         own += ready_made.package_dirs(name.removeprefix(ready_made.SCHEME))
-    share = example_robot_data()
-    return (*own, path.parent, share, share / "example-robot-data")
+    try:
+        share = example_robot_data()
+    except MissingExtraError:
+        return (*own, path.parent)
+    return (*own, path.parent, share, share / EXAMPLES)
 
 
 def read(file: RobotFile, path: Path) -> Description:

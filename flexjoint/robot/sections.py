@@ -1,7 +1,7 @@
 """Sections of a robot that can be left out, with their mass, and presets of its numbers.
 
 A section is one or more sub-trees of the URDF, each cut at its first joint. A section that hangs on another
-one is left out together with it (Kashiri et al. 2017, section 4.1.2).
+one is left out together with it (Kameduła et al. 2016, section 4.1.2).
 """
 
 from __future__ import annotations

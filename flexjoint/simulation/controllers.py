@@ -54,7 +54,7 @@ class Saturated(ABC):
 class MotorPD(Saturated):
     """tau = clip(tau_ff + kp (theta_ref - theta) + kd (dtheta_ref - dtheta), +-limit), the total saturated.
 
-    Tomei 1991; Kashiri et al. 2017, equation 4, where tau_ff = g(q_d) and theta_ref = q_d + g(q_d)/K.
+    Tomei 1991; Kameduła et al. 2016, equation 4, where tau_ff = g(q_d) and theta_ref = q_d + g(q_d)/K.
     kp [N m/rad], kd [N m s/rad] and limit [N m] are (n,).
     """
 

@@ -1,8 +1,8 @@
 """A simulation that runs while one looks at it: step it, command it, read it, change its gains.
 
-It is the plugin of Kashiri et al. 2017, section 4.2.1, as an object: per joint a command (position, velocity,
-feed-forward torque), a state, and named gains. The same calls give the same numbers, bit for bit, so that
-whole-body dynamics can be tested like any other code:
+It is the plugin of Kameduła et al. 2016, section 4.2.1, as an object: per joint a command (position,
+velocity, feed-forward torque), a state, and named gains. The same calls give the same numbers, bit for bit,
+so that whole-body dynamics can be tested like any other code:
 
     sim = LiveSimulation(FlexibleJointModel(load_robot("rrbot_last_joint")))
     sim.aim({"joint2": 0.5})

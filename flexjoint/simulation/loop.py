@@ -31,7 +31,7 @@ Command = Callable[["Runner"], np.ndarray]
 
 
 class Ticks:
-    """When the controller acts (Kashiri et al. 2017, equation 7, by integers instead of a remainder of time).
+    """When the controller acts (Kameduła et al. 2016, equation 7, by integers, not a remainder of time).
 
     Both rates are free. Tick j belongs to the time j/f_c; the controller runs at the first physics step that
     does not lie before it, and its torque is held until the next one. So with an f_s that is no multiple of

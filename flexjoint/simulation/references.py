@@ -56,7 +56,7 @@ def constant(value: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def tomei(model: FlexibleJointModel, q_ref: np.ndarray) -> dict[str, np.ndarray]:
-    """The references of eq 4 of Kashiri et al. 2017 at link positions q_ref (N, n) of the actuated joints:
+    """The references of eq 4 of Kameduła et al. 2016 at link positions q_ref (N, n) of the actuated joints:
     q_ref, theta_ref = q_ref + g(q_ref)/K, dtheta_ref = 0, tau_ff = g(q_ref); each (N, n). Other joints are
     neutral.
     """

@@ -27,7 +27,7 @@ def assert_static_law(
 
     The load tau = g(q) - J_c' lambda is that of the rigid body and its contacts, the springs not asked. Then
     the motor is at theta_ref - (tau - tau_ff)/K_P and the link at that less the spring's deflection under tau
-    (Kashiri et al. 2017, equations 1 to 4 at rest). Dry friction of motors, effects on the command
+    (Kameduła et al. 2016, equations 1 to 4 at rest). Dry friction of motors, effects on the command
     and on sensors, and saturation are not in this law.
 
     Args:

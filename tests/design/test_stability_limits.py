@@ -77,7 +77,7 @@ def test_the_poles_of_a_simulation(scheme: str) -> None:
     poles = close_loop(simulated(FlexibleJointModel(rigid, []), None, scheme), gains).poles
     a, b = h * kd / (M + B), h * h * kp / (M + B)
     # q+ = q + h v + share h^2 u, v+ = v + h u, under u = -(kp q + kd v) / J
-    share = {"explicit_euler": 0.0, "semi_implicit_euler": 1.0, "kashiri2017": 1.0}.get(scheme, 0.5)
+    share = {"explicit_euler": 0.0, "semi_implicit_euler": 1.0, "kamedula2016": 1.0}.get(scheme, 0.5)
     expected = np.linalg.eigvals([[1.0 - share * b, h - share * h * a], [-b / h, 1.0 - a]])
     for pole in expected:
         assert np.min(np.abs(poles - pole)) < 1e-8  # of differences

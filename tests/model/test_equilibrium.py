@@ -166,6 +166,15 @@ def test_a_slow_path_leaves_its_hysteresis() -> None:
     assert abs(phi[-1]) > 1e-3 and abs(equilibrium(model, q).deflection[-1, 0]) < 1e-15
 
 
+def test_a_long_path_tells_how_far_it_is() -> None:
+    law = effect("spring_hysteresis", "joint", level=3.0, scale=4e-3)
+    model = FlexibleJointModel(make(PENDULUM), [law])
+    told: list[float] = []
+    q = np.linspace(0.0, 1.2, 900)[:, None]
+    equilibrium(model, q, path=True, progress=lambda share, _what: told.append(share))
+    np.testing.assert_allclose(told, [0.0, 200 / 900, 400 / 900, 600 / 900, 800 / 900])
+
+
 def test_the_robot_stays_where_its_hysteresis_left_it() -> None:
     """With the spring's state and that of a friction that gives way (Dahl) taken over."""
     effects = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import gzip
+import importlib.util
 import json
 import re
 from pathlib import Path
@@ -20,6 +21,7 @@ from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as recording
 from flexjoint.report import view
 from flexjoint.report.view import browser, geometry, layers, meshes, motion
+from flexjoint.report.view import page as view_page
 from flexjoint.robot import robot
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.simulate import simulate
@@ -394,3 +396,14 @@ def test_a_geometry_that_is_not_shown_is_named(tmp_path: Path) -> None:
         RobotWarning, match="not all of its geometry is shown: Sphere shape must have a radius"
     ):
         geometry.shapes(loaded)
+
+
+def test_without_meshcat_it_is_said_before_the_work(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    usual = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "meshcat" else usual(name))
+    view_page.meshcat_viewer.cache_clear()
+    assert main(["view", "not_there.csv", "--robot", "kr300"]) == 2
+    said = capsys.readouterr().err
+    assert said == "flexjoint: meshcat is not installed; install it with: pip install 'flexjoint[report]'\n"

@@ -231,6 +231,12 @@ def test_the_command_writes_images(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "wrote 1 images" in capsys.readouterr().out
 
 
+def test_pictures_tell_how_far_they_are(tmp_path: Path) -> None:
+    page, told = view.show(arm_motion(), triangles=4000), []
+    made = page.write_images(tmp_path, (160, 120), every=10, progress=lambda share, _what: told.append(share))
+    assert told == [k / len(made) for k in range(len(made))] and len(made) > 2
+
+
 def test_a_video_is_made_of_all_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """ffmpeg itself is replaced by a script that notes what it is given."""
     encoder = tmp_path / "bin" / "ffmpeg"

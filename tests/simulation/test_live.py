@@ -152,7 +152,7 @@ def test_what_cannot_be_commanded_is_refused() -> None:
 def test_it_warns_and_never_returns_what_is_not_finite(kind: Engine) -> None:
     model = FlexibleJointModel(make(PLANAR, {"knee": {"stiffness": 8e5}}), [])
     with pytest.warns(StabilityWarning, match="joint knee"):
-        sim = LiveSimulation(model, RunOptions(scheme="kashiri2017", engine=kind))
+        sim = LiveSimulation(model, RunOptions(scheme="kamedula2016", engine=kind))
     sim.command("knee", position=0.5)
     with pytest.raises(SimulationError, match="left the finite numbers"):
         sim.run(20.0)
@@ -160,7 +160,7 @@ def test_it_warns_and_never_returns_what_is_not_finite(kind: Engine) -> None:
 
 @both_engines
 def test_a_commanded_stiffness_that_a_scheme_cannot_hold_warns(kind: Engine) -> None:
-    sim = LiveSimulation(planar(), RunOptions(scheme="kashiri2017", engine=kind))
+    sim = LiveSimulation(planar(), RunOptions(scheme="kamedula2016", engine=kind))
     sim.run(0.01)
     sim.command("knee", stiffness=8e5)
     with pytest.warns(StabilityWarning, match="spring of joint knee"):

@@ -1,1 +1,1 @@
-"""Experiments of Kashiri et al. 2017."""
+"""Experiments of Kameduła et al. 2016."""

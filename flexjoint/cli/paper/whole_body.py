@@ -1,13 +1,15 @@
-"""Section 5.2 of Kashiri et al. 2017: CENTAURO goes from its initial pose to a spider's and a mammal's.
+"""Section 5.2 of Kameduła et al. 2016: CENTAURO goes from its initial pose to a spider's and a mammal's.
 
-The paper gives no reference trajectories. Here the feet stay on the ground and roll: the wheels turn into the
+The paper gives no reference trajectories. Here both arms reach out on the way to the spider's pose and come
+back on the way to the mammal's, while the feet stay on the ground and roll: the wheels turn into the
 direction in which their foot will move, the legs move while the wheels roll with them, and the wheels sway
 about the pose's heading, ever less, which relaxes the forces between the feet. Joint positions are quintic
 blends between the poses of the robot file, so velocities and accelerations begin and end at 0, the shanks
-stay vertical, and the base goes up or down and nowhere else. Wheels roll freely, their motors' damping fed
-forward. The motor PD brakes them in the initial pose, and in the mammal pose after the swaying unless
-g - J_c' lambda is fed forward: on free wheels the robot tips over there. All other joints have the motor PD
-of the robot file.
+stay vertical, and the base goes up or down and nowhere else. Wheels have the velocity controller (the paper's
+wheel_controller, section 4.2.1) with their kd, the torque of their motors' damping fed forward. The motor PD
+parks them in the mammal pose after the swaying unless g - J_c' lambda is fed forward: a velocity controller
+does not hold a place, and under low gains the robot rolls off and tips over there. All other joints have the
+motor PD of the robot file.
 """
 
 from __future__ import annotations
@@ -16,7 +18,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -27,17 +28,19 @@ from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.statics.standing import standing
 from flexjoint.robot.robot import load
 from flexjoint.simulation.compiled.compiler import compilers
-from flexjoint.simulation.controllers import law_of
+from flexjoint.simulation.controllers import Mixed, MotorPD, Velocity, law_of
 from flexjoint.simulation.options import Engine, RunOptions
 from flexjoint.simulation.rollout import closed_loop
 from flexjoint.simulation.trajectory import Trajectory
 
 POSES = ("initial", "spider", "mammal")
+# shoulder pitch and elbow in the spider's pose [rad]: hands 0.14 m ahead, with no collision on the way
+REACH: Mapping[str, float] = {"j_arm1_1": 0.2, "j_arm1_4": -1.6, "j_arm2_1": 0.2, "j_arm2_4": -1.6}
 PHYSICS, CONTROL = 2000, 1000  # Hz, f_s and f_c of the section
-WAIT, STEER, MOVE, HOLD = 1.0, 1.5, 4.0, 9.0  # [s]
 KNOT = 0.05  # [s] between the poses whose loads are computed; between them by cubic splines
 NUDGE = 1e-4  # of the way between two poses, for the direction in which a foot goes
 Gravity = Literal["none", "gravity", "contact"]
+Motor = Literal["link", "load"]
 GRAVITY: Mapping[str, str] = {"none": "none", "gravity": "g", "contact": "g - J'l"}  # l: lambda
 MOTOR: Mapping[str, str] = {"link": "q_d", "load": "q_d+g/K"}
 SHOWN: Mapping[str, str] = {  # Fig. 8 and 9; the shoulder is its pitch
@@ -58,10 +61,31 @@ class Sway:
     angle: float
 
 
-# in the mammal pose not for long: on free wheels the robot tips over some eight seconds after its move
+# in the mammal pose not for long: on such wheels the robot tips over some seven seconds after its move
 SWAYS: Mapping[str, Sway] = {"spider": Sway(15.0, 5.0, 1.2), "mammal": Sway(3.0, 3.0, 0.6)}
-LEG = STEER + MOVE + max(sway.seconds for sway in SWAYS.values()) + HOLD  # [s] from one pose to the next
-SECONDS = WAIT + 2 * LEG
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Durations [s], of which the paper states none: at rest in the initial pose, turning the wheels, moving
+    the legs and arms, and in the pose after the longest swaying."""
+
+    wait: float = 1.0
+    steer: float = 1.5
+    move: float = 4.0
+    hold: float = 9.0
+
+    @property
+    def leg(self) -> float:
+        """From one pose to the next."""
+        return self.steer + self.move + max(sway.seconds for sway in SWAYS.values()) + self.hold
+
+    @property
+    def total(self) -> float:
+        return self.wait + 2 * self.leg
+
+
+TIMING = Timing()
 
 
 @dataclass(frozen=True)
@@ -94,17 +118,19 @@ class Hold:
 
 @dataclass(frozen=True)
 class Run:
-    """One variant: its trajectory at f_s, and what its holds say, spider and mammal."""
+    """One variant: its trajectory at f_s, what its holds say, spider and mammal, and what it followed."""
 
     gravity: str
     motor: str
     trajectory: Trajectory
     holds: tuple[Hold, ...]
+    plan: Plan
+    timing: Timing
 
 
 @cache
 def robot_model() -> FlexibleJointModel:
-    """CENTAURO on its wheels, which are velocity controlled."""
+    """CENTAURO on its wheels."""
     robot = load("centauro")
     return FlexibleJointModel(replace(robot, rates=robot.rates.model_copy(update={"control": CONTROL})))
 
@@ -122,21 +148,30 @@ def quintic(t: np.ndarray, begin: float, seconds: float) -> np.ndarray:
     return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
 
 
+def configuration(pose: str) -> np.ndarray:
+    """(nq,) of a pose: the robot file's, and the arms' reach. Raises RobotError for a pose without a name."""
+    robot = robot_model().robot
+    q = robot.configuration(pose)
+    if pose == "spider":
+        q[[robot.joint(name).idx_q for name in REACH]] = list(REACH.values())
+    return q
+
+
 @cache
-def plan() -> Plan:
+def plan(timing: Timing = TIMING) -> Plan:
     """The reference, the same for all variants."""
     model = robot_model()
     robot, places = model.robot, [joint.idx_q for joint in model.joints]
-    time = np.arange(round(SECONDS * CONTROL)) / CONTROL
-    q = np.tile(robot.configuration(POSES[0])[places], (len(time), 1))
-    knots = np.arange(0.0, SECONDS + KNOT, KNOT)
+    time = np.arange(round(timing.total * CONTROL)) / CONTROL
+    q = np.tile(configuration(POSES[0])[places], (len(time), 1))
+    knots = np.arange(0.0, timing.total + KNOT, KNOT)
     for k, (one, other) in enumerate(pairwise(POSES)):
-        begin = WAIT + k * LEG
-        move = begin + STEER
-        there = move + MOVE
-        q0, q1 = robot.configuration(one), robot.configuration(other)
-        way = quintic(time, move, MOVE)
-        into, home = quintic(time, begin, STEER), quintic(time, there, STEER)
+        begin = timing.wait + k * timing.leg
+        move = begin + timing.steer
+        there = move + timing.move
+        q0, q1 = configuration(one), configuration(other)
+        way = quintic(time, move, timing.move)
+        into, home = quintic(time, begin, timing.steer), quintic(time, there, timing.steer)
         swing = _swing(SWAYS[other], time - there)
         q += way[:, None] * (q1 - q0)[places]
         shares = np.linspace(0.0, 1.0, 81)
@@ -198,7 +233,7 @@ def _loads(model: FlexibleJointModel, q: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 # --- runs ----------------------------------------------------------------------------------------
-def references(gravity: str, motor: str) -> dict[str, np.ndarray]:
+def references(gravity: str, motor: str, timing: Timing = TIMING) -> dict[str, np.ndarray]:
     """What the controller follows, (T, n) each. q_d + g/K takes the load that the variant knows: g(q_d), or
     g(q_d) - J_c' lambda where that is fed forward.
 
@@ -208,7 +243,7 @@ def references(gravity: str, motor: str) -> dict[str, np.ndarray]:
         raise unknown("gravity_ff", gravity, GRAVITY)
     if motor not in MOTOR:
         raise unknown("theta_d", motor, MOTOR)
-    way, model = plan(), robot_model()
+    way, model = plan(timing), robot_model()
     stiffness = np.array([joint.drive.K for joint in model.joints])
     known = way.load if gravity == "contact" else way.gravity
     forward = known if gravity != "none" else np.zeros_like(known)
@@ -226,37 +261,62 @@ def quickest() -> Engine:
     return "compiled" if compilers() else "pin"
 
 
+def paper_whole_body(
+    gravity: Gravity = "none", motor: Motor = "link", *, timing: Timing = TIMING, engine: Engine = "auto"
+) -> Run:
+    """CENTAURO from its initial to a spider's and a mammal's pose: section 5.2 of Kameduła et al. 2016, one
+    variant of it (docs/whole_body.md).
+
+    Args:
+        gravity: the feed-forward torque: none, g(q_d) (`gravity`), or g(q_d) - J_c' lambda (`contact`).
+        motor: theta_d is q_d (`link`), or q_d + g/K of the load that is known (`load`).
+        timing: durations of the motion [s].
+        engine: as of a simulation; a minute of motion takes the pin loop half a minute.
+
+    Raises:
+        UnknownNameError: for another name. MissingExtraError: the robot's description is not installed.
+    """
+    return run(gravity, motor, quickest() if engine == "auto" else engine, timing)
+
+
 @cache
-def run(gravity: str, motor: str, which: Engine) -> Run:
+def run(gravity: str, motor: str, which: Engine, timing: Timing = TIMING) -> Run:
     """One variant, from rest in the initial pose. Raises UnknownNameError."""
     model = robot_model()
-    tape = simulated(model, gravity, motor, which)
-    commands = references(gravity, motor)
-    holds = tuple(_hold(model, law_of(model.robot), tape, commands, k) for k in (1, 2))
-    return Run(gravity, motor, tape, holds)
+    tape = simulated(model, gravity, motor, which, timing=timing)
+    commands = references(gravity, motor, timing)
+    holds = tuple(
+        _hold(model, tape, commands, POSES[k], timing.wait + k * timing.leg) for k in range(1, len(POSES))
+    )
+    return Run(gravity, motor, tape, holds, plan(timing), timing)
 
 
 def simulated(
-    model: FlexibleJointModel, gravity: str, motor: str, which: Engine, seconds: float = SECONDS
+    model: FlexibleJointModel,
+    gravity: str,
+    motor: str,
+    which: Engine,
+    seconds: float = np.inf,
+    timing: Timing = TIMING,
 ) -> Trajectory:
-    """The first seconds of a variant, by a model with the joints and poses of `robot_model`, whose
-    references it follows; from rest in its initial pose. Raises UnknownNameError."""
-    commands = references(gravity, motor)
-    held: Any = law_of(model.robot)
+    """The first seconds of a variant (default: all), by a model with the joints and poses of `robot_model`,
+    whose references it follows; from rest in its initial pose. Raises UnknownNameError."""
+    commands = references(gravity, motor, timing)
+    parked: Any = law_of(model.robot)
     rolls = wheels(model)
-    free = replace(held, kp=np.where(rolls, 0.0, held.kp), kd=np.where(rolls, 0.0, held.kd))
+    rolling: Any = _velocity_controlled(parked, rolls)
     state = standing(model, model.robot.configuration(POSES[0])).state
-    brake = WAIT + LEG + STEER + MOVE + SWAYS["mammal"].seconds
+    park = timing.wait + timing.leg + timing.steer + timing.move + SWAYS["mammal"].seconds
     parts: list[Trajectory] = []
     options = RunOptions(rate=PHYSICS, engine=which)
     begin = 0
-    at_last = free if gravity == "contact" else held
-    for law, until in ((held, WAIT), (free, brake), (at_last, WAIT + 2 * LEG)):
+    at_last: Any = rolling if gravity == "contact" else parked
+    for law, until in ((rolling, park), (at_last, timing.total)):
         end = round(min(until, seconds) * CONTROL)
         if end == begin:
             break
         rows = {name: values[begin:end] for name, values in commands.items()}
-        if law is held:
+        if law is parked:
             places = [model.joints[i].idx_q for i in np.flatnonzero(rolls)]
             rows["theta_ref"] = rows["theta_ref"].copy()
             rows["theta_ref"][:, rolls] = state.q[places]
@@ -264,6 +324,14 @@ def simulated(
         state = parts[-1].state(len(parts[-1].time) - 1)
         begin = end
     return _joined(parts)
+
+
+def _velocity_controlled(law: MotorPD, rolls: np.ndarray) -> Mixed:
+    """The law, with the velocity controller and the same kd and limit on the joints that roll (n,)."""
+    still, wheel = np.flatnonzero(~rolls), np.flatnonzero(rolls)
+    held = MotorPD(law.kp[still], law.kd[still], law.limit[still])
+    turned = Velocity(law.kd[wheel], law.limit[wheel])
+    return Mixed(((tuple(map(int, still)), held), (tuple(map(int, wheel)), turned)))
 
 
 def _joined(parts: list[Trajectory]) -> Trajectory:
@@ -277,9 +345,9 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
 
 
 def _hold(
-    model: FlexibleJointModel, law: Any, tape: Trajectory, commands: Mapping[str, np.ndarray], k: int
+    model: FlexibleJointModel, tape: Trajectory, commands: Mapping[str, np.ndarray], pose: str, until: float
 ) -> Hold:
-    end = round((WAIT + k * LEG) * PHYSICS)
+    law, end = law_of(model.robot), round(until * PHYSICS)
     last, tick = slice(end - PHYSICS, end), (end - 1) * CONTROL // PHYSICS
     q = tape.q[last][:, [joint.idx_q for joint in model.joints]]
     stiffness = np.array([joint.drive.K for joint in model.joints])
@@ -289,7 +357,7 @@ def _hold(
     static = ahead - (tau_t - commands["tau_ff"][tick]) / law.kp - tau_t / stiffness
     still = ~wheels(model)
     return Hold(
-        POSES[k],
+        pose,
         np.where(still, error, np.nan),
         np.where(still, static, np.nan),
         tau_t,
@@ -308,45 +376,3 @@ def contact_forces(model: FlexibleJointModel, tape: Trajectory, row: int) -> np.
     if model.ground is None:
         return np.zeros((0, 3))
     return np.array(model.ground.touch(model.body, tape.q[row], tape.v[row], tape.z[row]).forces)
-
-
-# --- figures -------------------------------------------------------------------------------------
-def draw(found: Run, folder: Path) -> list[Path]:
-    """Fig. 8 (arm) and Fig. 9 (leg) of a variant as PNG files in the folder, which is made: reference and
-    link position, velocity, motor position and velocity, motor and transmission torque of two joints each.
-
-    Needs matplotlib (the extra `report`).
-    """
-    from matplotlib.figure import Figure
-
-    folder.mkdir(parents=True, exist_ok=True)
-    model, commands = robot_model(), references(found.gravity, found.motor)
-    tape, ticks = found.trajectory, plan().time
-    names = list(SHOWN)
-    files = []
-    for number, pair in (("8", names[:2]), ("9", names[2:])):
-        figure = Figure(figsize=(10.0, 9.0), layout="constrained")
-        axes = figure.subplots(3, 2, sharex=True)
-        for column, label in enumerate(pair):
-            i = model.robot.joint_names.index(SHOWN[label])
-            joint, k = model.joints[i], model.flexible.index(i)
-            drive, q, v = joint.drive, tape.q[:, joint.idx_q], tape.v[:, joint.idx_v]
-            theta, dtheta = tape.theta[:, k], tape.dtheta[:, k]
-            spring = drive.K * (theta - q) + drive.D * (dtheta - v)
-            where = {"q_d": commands["q_ref"][:, i], "q": q, "theta": theta}
-            speed = {"dq_d": commands["dtheta_ref"][:, i], "dq": v, "dtheta": dtheta}
-            torque = {"tau_m": tape.tau_m[:, i], "tau_t": spring}
-            panels = {"rad": where, "rad/s": speed, "N m": torque}
-            for ax, (unit, curves) in zip(axes[:, column], panels.items(), strict=True):
-                for name, y in curves.items():
-                    t = ticks if len(y) == len(ticks) else tape.time
-                    ax.plot(t, y, label=name, linewidth=1.0)
-                ax.set_ylabel(unit)
-                ax.legend(loc="upper right", fontsize="small")
-            axes[0, column].set_title(f"{label} ({SHOWN[label]})")
-            axes[2, column].set_xlabel("t [s]")
-        title = f"gravity_ff {GRAVITY[found.gravity]}, theta_d {MOTOR[found.motor]}"
-        figure.suptitle(f"{title}: initial, spider, mammal")
-        files.append(folder / f"fig{number}_{found.gravity}_{found.motor}.png")
-        figure.savefig(files[-1], dpi=110)
-    return files

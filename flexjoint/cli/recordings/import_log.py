@@ -11,6 +11,7 @@ from flexjoint.recording.checks import check
 from flexjoint.recording.importing import import_log, open_log
 from flexjoint.recording.logs.mapping import EMPTY
 from flexjoint.recording.messages import shown
+from flexjoint.report.progress import Progress
 from flexjoint.robot.robot import load
 
 
@@ -26,9 +27,10 @@ def run(arguments: argparse.Namespace) -> None:
         return
     if arguments.to is None:
         raise FlexJointError("import: give --to TABLE.parquet, or --signals to see what the log holds")
-    imported = import_log(arguments.log, mapping, robot)
-    if robot is not None:
-        check(robot, imported.recording)
+    with Progress() as bar:
+        imported = import_log(arguments.log, mapping, robot, progress=bar)
+        if robot is not None:
+            check(robot, imported.recording)
     print(imported)
     imported.recording.write(arguments.to)
     print(f"wrote {arguments.to}")
@@ -38,7 +40,8 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _print_signals(arguments: argparse.Namespace) -> None:
     """What a log holds, to write a mapping by."""
-    log = open_log(arguments.log, arguments.episode)
+    with Progress() as bar:
+        log = open_log(arguments.log, arguments.episode, bar)
     print(f"{log.source}: {log.format}")
     for name, signal in log.signals.items():
         count, width = signal.values.shape

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import textwrap
 
+from flexjoint.core.errors import MissingExtraError
 from flexjoint.robot.robot import Robot, load, shipped_robots
 
 WIDTH = 110
@@ -14,7 +15,11 @@ MANY = 12  # joints; more are counted, not listed
 def run(arguments: argparse.Namespace) -> None:
     """Print the robots that come with flexjoint."""
     for name, path in shipped_robots().items():
-        robot = load(path)
+        try:
+            robot = load(path)
+        except MissingExtraError as missing:
+            print(f"{name}: {missing}\n    {path}")
+            continue
         recordings = sorted((path.parent / "recordings").glob("*.parquet"))
         base = ", floating base" if robot.floating else ""
         joints = (

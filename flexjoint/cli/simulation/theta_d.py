@@ -24,6 +24,7 @@ from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.statics.equilibrium import Equilibrium, equilibrium
 from flexjoint.model.statics.forces import Contact
 from flexjoint.recording.table import read_csv, read_parquet
+from flexjoint.report.progress import Progress
 from flexjoint.robot.robot import Robot
 
 SUFFIXES = (".csv", ".parquet")
@@ -51,7 +52,10 @@ def run(arguments: argparse.Namespace) -> None:
     limit = arguments.max_deflection
     largest = {} if limit is None else {joint.name: limit for joint in loaded.joints}
     contacts = [Contact(frame, pushes=True) for frame in arguments.contact]
-    rest = equilibrium(model, poses.q, contacts, path=arguments.path, max_deflection=largest)
+    with Progress() as bar:
+        rest = equilibrium(
+            model, poses.q, contacts, path=arguments.path, max_deflection=largest, progress=bar
+        )
     write_bytes(arguments.out, table_bytes(columns(rest, loaded, poses, arguments.details), arguments.out))
     report(rest, loaded, arguments.out)
 

@@ -58,6 +58,8 @@ def add(commands: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Do what the arguments ask for."""
     from flexjoint.cli import outputs as cli_outputs
+    from flexjoint.report.progress import Progress
+    from flexjoint.report.view.page import meshcat_viewer
 
     size = _size(arguments.size)
     for path, suffixes in ((arguments.html, (".html", ".htm")), (arguments.video, (".mp4", ".webm", ".mkv"))):
@@ -65,10 +67,11 @@ def run(arguments: argparse.Namespace) -> None:
             cli_outputs.check_place(path, suffixes, [Path(arguments.robot), *arguments.recordings])
     if arguments.images is not None and arguments.images.exists() and not arguments.images.is_dir():
         raise FlexJointError(f"cannot write images into {arguments.images}: it is a file; give a folder")
+    meshcat_viewer()  # complains before the work, not after it
     if arguments.images is not None or arguments.video is not None:
         from flexjoint.report.view import browser
 
-        browser.find()  # complains before the work, not after it
+        browser.find()
         if arguments.video is not None:
             browser.find_encoder()
     page = _page(arguments, options.load_chosen(arguments, actuated=False))
@@ -77,10 +80,13 @@ def run(arguments: argparse.Namespace) -> None:
         megabytes = arguments.html.stat().st_size / 1e6
         print(f"wrote {escaped(str(arguments.html))}: {megabytes:.1f} MB, opens offline")
     if arguments.images is not None:
-        made = page.write_images(arguments.images, size)
+        with Progress() as bar:
+            made = page.write_images(arguments.images, size, progress=bar)
         print(f"wrote {len(made)} images: {escaped(str(made[0]))} to {made[-1].name}")
     if arguments.video is not None:
-        print(f"wrote {escaped(str(page.write_video(arguments.video, size)))}: {len(page.frames())} frames")
+        with Progress() as bar:
+            video = page.write_video(arguments.video, size, progress=bar)
+        print(f"wrote {escaped(str(video))}: {len(page.frames())} frames")
     if arguments.html is None and arguments.images is None and arguments.video is None:
         _show(page)
 
@@ -127,8 +133,10 @@ def _simulated(robot: Robot, table: Recording, arguments: argparse.Namespace, la
     from flexjoint.diagnosis.comparison.compare import compare
     from flexjoint.recording.table import make
     from flexjoint.report import view
+    from flexjoint.report.progress import Progress
 
-    result = compare(robot, table, horizon=arguments.horizon, engine=arguments.engine)
+    with Progress() as bar:
+        result = compare(robot, table, horizon=arguments.horizon, engine=arguments.engine, progress=bar)
     return view.from_recording(robot, make(result.time, result.simulated, label), label)
 
 

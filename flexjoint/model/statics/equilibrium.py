@@ -1,7 +1,7 @@
 """Static law of a robot with flexible joints: what holds a link position at rest.
 
 g(q) holds the links, a spring deflection that carries it puts the motor at theta_d = q_d + g(q_d)/K (Tomei
-1991; Kashiri et al. 2017, section 3). Springs that are not linear are inverted by Newton's method, the
+1991; Kameduła et al. 2016, section 3). Springs that are not linear are inverted by Newton's method, the
 command's way to the motor too.
 """
 
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexjoint.core.errors import ModelError
+from flexjoint.core.running.progress import Report, part, silent
 from flexjoint.core.units import of_joint
 from flexjoint.effects import Signals
 from flexjoint.model.dynamics import FlexibleJointModel
@@ -21,6 +22,7 @@ from flexjoint.model.statics.forces import Contact, contact_forces, given_forces
 from flexjoint.model.statics.limits import Violation, beyond, checked_deflections
 from flexjoint.model.statics.roots import increasing_roots
 
+ROWS_TOLD = 200  # of a path, between two reports
 SLOW = 1e12  # [s] that a step of a path takes: rate-free states do not care, others have relaxed
 REACHED = 1e-9  # of the wanted torque: by how much the inverse of the command may miss it
 SWEEPS = 200  # over joints whose commands act on each other
@@ -63,6 +65,7 @@ def equilibrium(
     forces: np.ndarray | None = None,
     path: bool = False,
     max_deflection: Mapping[str, float] | None = None,
+    progress: Report | None = None,
 ) -> Equilibrium:
     """theta_d, g(q_d), deflections and motor torques for link positions q (N, nq) or (nq,) [rad].
 
@@ -74,6 +77,7 @@ def equilibrium(
         path: q is a path that is travelled slowly, in this order, from relaxed springs: hysteresis then
             remembers. Without, every pose stands for itself with internal states of effects at 0.
         max_deflection: largest `|theta - q|` by joint [rad], to be checked.
+        progress: called with a share in [0, 1] and what is being done.
 
     Limits that are broken (motor torque, deflection, joint range, what the command can reach) are no error:
     `violations` names them.
@@ -83,6 +87,7 @@ def equilibrium(
         UnknownNameError: a frame or joint that does not exist.
     """
     q = _rows(model, q)
+    report = progress or silent
     limits = checked_deflections(model, max_deflection or {})
     gravity = model.body.gravity_torque_batch(q)
     made = np.zeros_like(gravity)
@@ -102,8 +107,10 @@ def equilibrium(
     friction = np.empty_like(load)
     for i, flow in enumerate(model.flows):
         link = links[:, i]
+        own = part(report, i / len(model.flows), 1.0 / len(model.flows))
+        own(0.0, flow.joint.name)
         if path and flow.stateful:
-            phi[:, i] = _along(flow, link, load[:, i], z)
+            phi[:, i] = _along(flow, link, load[:, i], z, own)
         elif not flow.joint.rigid:
             phi[:, i] = deflection(flow, link, load[:, i])
     resting = [_resting(links[:, i], phi[:, i], load[:, i]) for i in range(len(model.flows))]
@@ -191,7 +198,9 @@ def deflection(flow: JointFlow, q: np.ndarray, load: np.ndarray) -> np.ndarray:
     return phi
 
 
-def _along(flow: JointFlow, q: np.ndarray, load: np.ndarray, z: np.ndarray) -> np.ndarray:
+def _along(
+    flow: JointFlow, q: np.ndarray, load: np.ndarray, z: np.ndarray, report: Report = silent
+) -> np.ndarray:
     """As `deflection`, but each row starts from the internal states of the one before. Writes the joint's
     states into z (N, nz), whose first row is where they start."""
     phi = np.zeros_like(load)
@@ -199,6 +208,8 @@ def _along(flow: JointFlow, q: np.ndarray, load: np.ndarray, z: np.ndarray) -> n
         phi[0] = deflection(flow, q[:1], load[:1])[0]
     stiffness = flow.drive.K
     for k in range(1, len(load)):
+        if k % ROWS_TOLD == 0:
+            report(k / len(load), flow.joint.name)
         z[k, :] = np.where(_own(flow, z.shape[1]), z[k - 1], z[k])
         before = z[k].tolist()
 

@@ -1,7 +1,8 @@
 """Where a robot under motor PD control comes to rest when its gravity torque command is not what the load is.
 
 At rest the motor carries tau_t = g_cmd + K_P (theta_d - theta), and the spring tau_t = K (theta - q). With
-delta = tau_t - g_cmd, the torque that the command leaves out (Kashiri et al. 2017, equations 1 to 4 at rest):
+delta = tau_t - g_cmd, the torque that the command leaves out (Kameduła et al. 2016, equations 1 to 4, at
+rest):
 
     theta - theta_d = -delta / K_P      q - q_d = -delta (1/K_P + 1/K)      theta - q = tau_t / K
 

@@ -6,7 +6,8 @@ import struct
 from pathlib import Path
 
 from flexjoint.core.errors import FlexJointError, MissingExtraError
-from flexjoint.recording.formats.ros_messages import Messages, kind_of
+from flexjoint.core.running.progress import Report, silent
+from flexjoint.recording.formats.ros_messages import EVERY, Messages, kind_of
 from flexjoint.recording.logs.log import Log, unreadable
 from flexjoint.recording.messages import refusal, shown
 
@@ -14,8 +15,8 @@ KIND = "MCAP, messages of ROS 2"
 SUFFIXES = (".mcap",)
 
 
-def read(path: Path) -> Log:
-    """A log of the messages about joints.
+def read(path: Path, report: Report = silent) -> Log:
+    """A log of the messages about joints; reports the share of the file that is read.
 
     Raises RecordingError with what is wrong with the file, MissingExtraError with what is not installed.
     """
@@ -28,8 +29,11 @@ def read(path: Path) -> Log:
     messages, others = Messages(), set()
     decoders = DecoderFactory()
     try:
+        size = path.stat().st_size
         with path.open("rb") as file:
-            for schema, channel, message in make_reader(file).iter_messages():
+            for k, (schema, channel, message) in enumerate(make_reader(file).iter_messages()):
+                if k % EVERY == 0:
+                    report(min(1.0, file.tell() / size), "reading")
                 kind = kind_of(schema.name) if schema is not None else None
                 decode = decoders.decoder_for(channel.message_encoding, schema) if kind is not None else None
                 if kind is None:

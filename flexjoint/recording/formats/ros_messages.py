@@ -34,6 +34,7 @@ MEANINGS = {  # by message and field
     (CONTROLLER, "desired.positions"): Documented("q_ref", "rad", ANGLE),
     (CONTROLLER, "output.effort"): Documented("tau_m", "N m", "the controller's output", "link"),
 }
+EVERY = 1000  # messages between two reports
 POINTS = ("reference", "desired", "feedback", "actual", "output")  # of a controller's state, by its versions
 VALUES = ("positions", "velocities", "effort")
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from flexjoint.core.errors import FlexJointError, MissingExtraError
-from flexjoint.recording.formats.ros_messages import Messages, kind_of
+from flexjoint.core.running.progress import Report, silent
+from flexjoint.recording.formats.ros_messages import EVERY, Messages, kind_of
 from flexjoint.recording.logs.log import Log, unreadable
 from flexjoint.recording.messages import refusal, shown
 
@@ -18,8 +19,8 @@ def is_folder(path: Path) -> bool:
     return (path / "metadata.yaml").is_file()
 
 
-def read(path: Path) -> Log:
-    """A log of the messages about joints.
+def read(path: Path, report: Report = silent) -> Log:
+    """A log of the messages about joints; reports the share of them that is read.
 
     Raises RecordingError with what is wrong with the bag, MissingExtraError where rosbags is not installed.
     """
@@ -46,7 +47,12 @@ def read(path: Path) -> Log:
                     f" {shown(unknown[0].msgtype)}; record it"
                     " as MCAP (ros2 bag record --storage mcap), which carries it",
                 )
-            for connection, arrival, data in bag.messages(connections=wanted) if wanted else ():
+            count = max(1, sum(c.msgcount for c in wanted))
+            for k, (connection, arrival, data) in enumerate(
+                bag.messages(connections=wanted) if wanted else ()
+            ):
+                if k % EVERY == 0:
+                    report(min(1.0, k / count), "reading")
                 kind = kind_of(connection.msgtype)
                 if kind is not None:
                     message = bag.deserialize(data, connection.msgtype)

@@ -23,8 +23,10 @@ from types import TracebackType
 from typing import Any
 
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.running.progress import Report, part, silent
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+DRAWING = 0.9  # share of a video's time that its frames take
 PATIENCE = 120.0  # s for one answer: a large scene in software on a slow machine
 FLAGS = (
     "--headless=new",
@@ -250,7 +252,9 @@ def opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
             yield browser
 
 
-def images(html: str, frames: Sequence[int], folder: Path, size: tuple[int, int]) -> list[Path]:
+def images(
+    html: str, frames: Sequence[int], folder: Path, size: tuple[int, int], report: Report = silent
+) -> list[Path]:
     """The frames of a page as frame_00000.png and so on in the folder, which is made; existing files of these
     names are replaced."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -258,6 +262,7 @@ def images(html: str, frames: Sequence[int], folder: Path, size: tuple[int, int]
     with opened(html, size) as browser:
         browser.evaluate("document.body.classList.add('plain'); window.dispatchEvent(new Event('resize'))")
         for k, index in enumerate(frames):
+            report(k / len(frames), "drawing frames")
             out.append(folder / f"frame_{k:05d}.png")
             out[-1].write_bytes(browser.frame(index))
         if browser.said.errors:
@@ -265,13 +270,21 @@ def images(html: str, frames: Sequence[int], folder: Path, size: tuple[int, int]
     return out
 
 
-def video(html: str, frames: Sequence[int], rate: float, path: Path, size: tuple[int, int]) -> Path:
+def video(
+    html: str,
+    frames: Sequence[int],
+    rate: float,
+    path: Path,
+    size: tuple[int, int],
+    report: Report = silent,
+) -> Path:
     """The frames of a page as a video by ffmpeg; raises FlexJointError where there is no ffmpeg."""
     encoder = find_encoder()
     even = (size[0] // 2 * 2, size[1] // 2 * 2)  # yuv420p halves the colours
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="flexjoint-", ignore_cleanup_errors=True) as folder:
-        images(html, frames, Path(folder), even)
+        images(html, frames, Path(folder), even, part(report, 0.0, DRAWING))
+        report(DRAWING, "encoding")
         source = ["-framerate", f"{rate:g}", "-i", str(Path(folder) / "frame_%05d.png")]
         command = [encoder, "-y", "-loglevel", "error", *source, "-pix_fmt", "yuv420p", str(path)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)

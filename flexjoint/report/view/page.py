@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from flexjoint.core.errors import FlexJointError
+from flexjoint.core.errors import MissingExtraError
 from flexjoint.core.files import write_text
+from flexjoint.core.running.progress import Report, silent
 from flexjoint.report.view import browser
 from flexjoint.report.view.scene import Scene, packed
 
@@ -29,7 +30,7 @@ class Page:
         parts = {
             "title": html.escape(self.scene.title),
             "style": (ASSETS / "style.css").read_text(encoding="utf-8"),
-            "meshcat": _meshcat(),
+            "meshcat": meshcat_viewer(),
             "scene": packed(self.scene),
             "player": (ASSETS / "player.js").read_text(encoding="utf-8"),
         }
@@ -54,17 +55,25 @@ class Page:
         return range(0, len(self.scene.times), max(1, every))
 
     def write_images(
-        self, folder: str | os.PathLike[str], size: tuple[int, int] = (1280, 800), every: int = 1
+        self,
+        folder: str | os.PathLike[str],
+        size: tuple[int, int] = (1280, 800),
+        every: int = 1,
+        progress: Report | None = None,
     ) -> list[Path]:
         """Every so many frames as PNG, by a headless Chromium; NoBrowserError where there is none."""
-        return browser.images(self.html(), self.frames(every), Path(folder), size)
+        return browser.images(self.html(), self.frames(every), Path(folder), size, progress or silent)
 
     def write_video(
-        self, path: str | os.PathLike[str], size: tuple[int, int] = (1280, 800), every: int = 1
+        self,
+        path: str | os.PathLike[str],
+        size: tuple[int, int] = (1280, 800),
+        every: int = 1,
+        progress: Report | None = None,
     ) -> Path:
         """The frames as a video, by a headless Chromium and ffmpeg."""
-        rate = self.rate / max(1, every)
-        return browser.video(self.html(), self.frames(every), rate, Path(path), size)
+        rate, frames = self.rate / max(1, every), self.frames(every)
+        return browser.video(self.html(), frames, rate, Path(path), size, progress or silent)
 
     def _repr_html_(self) -> str:
         text = html.escape(self.html(), quote=True)
@@ -72,11 +81,11 @@ class Page:
 
 
 @lru_cache(maxsize=1)
-def _meshcat() -> str:
-    """MeshCat's viewer as its package ships it, licences first."""
+def meshcat_viewer() -> str:
+    """MeshCat's viewer as its package ships it, licences first; MissingExtraError where there is none."""
     found = importlib.util.find_spec("meshcat")  # its files are needed, not its server
     if found is None or found.origin is None:
-        raise FlexJointError("meshcat is not installed; install it with: pip install meshcat")
+        raise MissingExtraError("meshcat", "report")
     folder = Path(found.origin).parent / "viewer"
     licence = (folder / "LICENSE").read_text(encoding="utf-8").replace("*/", "* /")
     return f"/*\n{licence}*/\n" + (folder / "dist" / "main.min.js").read_text(encoding="utf-8")

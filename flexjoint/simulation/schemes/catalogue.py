@@ -11,8 +11,8 @@ from flexjoint.simulation.schemes.base import DEFAULT, Scheme, Step
 from flexjoint.simulation.schemes.explicit import (
     RK4,
     ExplicitEuler,
-    Kashiri2017,
-    Kashiri2017New,
+    Kamedula2016,
+    Kamedula2016New,
     SemiImplicitEuler,
 )
 from flexjoint.simulation.schemes.implicit import ImplicitMidpoint
@@ -23,8 +23,8 @@ _ALL: tuple[Scheme, ...] = (
     LinearlyImplicitMidpoint(),
     SemiImplicitEuler(),
     ExplicitEuler(),
-    Kashiri2017(),
-    Kashiri2017New(),
+    Kamedula2016(),
+    Kamedula2016New(),
     RK4(),
     ImplicitMidpoint(),
     Reference(),

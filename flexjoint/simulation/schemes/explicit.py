@@ -65,15 +65,15 @@ class SemiImplicitEuler(Scheme):
         return _euler_matrix(A, h, np.ones(len(A) // 2))
 
 
-class Kashiri2017(Scheme):
-    """Kashiri et al. 2017, equations 5 and 6: the motor by explicit Euler, the link by the semi-implicit
+class Kamedula2016(Scheme):
+    """Kameduła et al. 2016, equations 5 and 6: the motor by explicit Euler, the link by the semi-implicit
     Euler of the physics engine.
 
     Whether the motor's position moves by its old or its new velocity the paper leaves open: here by the old
-    one, in Kashiri2017New by the new one.
+    one, in Kamedula2016New by the new one.
     """
 
-    name = "kashiri2017"
+    name = "kamedula2016"
     order = 1
     keeps_energy = 0.1
     keeps_momentum = 0.0
@@ -95,10 +95,10 @@ class Kashiri2017(Scheme):
         return _euler_matrix(A, h, new)
 
 
-class Kashiri2017New(Kashiri2017):
-    """As Kashiri2017, the motor's position moved by its new velocity."""
+class Kamedula2016New(Kamedula2016):
+    """As Kamedula2016, the motor's position moved by its new velocity."""
 
-    name = "kashiri2017_new"
+    name = "kamedula2016_new"
     new_motor_velocity = True
 
 

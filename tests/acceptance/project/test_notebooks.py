@@ -16,6 +16,7 @@ from nbclient import NotebookClient
 from support import browsers
 from support.thorough import thorough
 
+import flexjoint
 from flexjoint.report.view.browser import opened
 from flexjoint.robot import robot
 
@@ -61,6 +62,19 @@ def test_a_notebook_is_stored_clean(path: Path) -> None:
         if cell.cell_type == "code":
             assert cell.outputs == [] and cell.execution_count is None
     assert path.stat().st_size < 1e6
+
+
+@every_notebook
+def test_a_notebook_uses_public_names_alone(path: Path) -> None:
+    """But for the one that writes an effect, which is a part of the package."""
+    if path.stem == "08_an_effect_of_your_own":
+        return
+    code = [cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+    inside = re.findall(r"(?:from|import) flexjoint\.[\w.]+", "\n".join(code))
+    taken = re.findall(r"from flexjoint import \(?([^)\n]+(?:\n +[^)]+)?)", "\n".join(code))
+    names = {name.strip() for line in taken for name in line.split(",") if name.strip()}
+    used = set(re.findall(r"\bfj\.(\w+)", "\n".join(code)))
+    assert inside == [] and names | used <= set(flexjoint.__all__)
 
 
 @every_notebook

@@ -1,11 +1,11 @@
-"""Section 5.1 of Kashiri et al. 2017, reproduced: step responses, and the errors of schemes against both
+"""Section 5.1 of Kameduła et al. 2016, reproduced: step responses, and the errors of schemes against both
 exact solutions, to the digits to which they are known."""
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 from support.robots.arms import PLANAR, make
 
 from flexjoint.cli.main import main
+from flexjoint.cli.paper import motions, one_link_page, one_link_tables
 from flexjoint.cli.paper import one_link as paper
 from flexjoint.cli.paper.one_link import Motion
 from flexjoint.core.errors import ModelError, UnknownNameError
@@ -117,12 +118,12 @@ def test_against_continuous_control_the_known_figures_come_out(continuous: Motio
         "tau_m": ("1.4e-03", "8.2e-05"),
     }
     assert rounded(paper.held(scheme="rk4"), continuous)["q"] == ("3.4e-04", "7.5e-05")
-    assert rounded(paper.held(scheme="kashiri2017"), continuous) == {
+    assert rounded(paper.held(scheme="kamedula2016"), continuous) == {
         "q": ("3.0e-04", "5.6e-05"),
         "tau_t": ("4.9e-02", "1.0e-02"),
         "tau_m": ("2.7e-01", "2.4e-02"),
     }
-    new = rounded(paper.held(scheme="kashiri2017_new"), continuous)
+    new = rounded(paper.held(scheme="kamedula2016_new"), continuous)
     assert (new["q"], new["tau_t"][0], new["tau_m"][0]) == (("1.9e-03", "6.0e-04"), "2.2e-01", "1.5e+00")
     default = paper.differences(paper.held(), continuous)
     for signal, reported in paper.PAPER_MAX.items():  # within what the paper reports of itself
@@ -162,7 +163,7 @@ def test_ramp_and_step_beside_the_papers_figures() -> None:
     rows = paper.varying_table(seconds=paper.RAMP + 1.0).rows
     largest = {name: {s: f"{d.max:.1e}" for s, d in found.items()} for name, found in rows.items()}
     assert largest["default scheme, 1 kHz"] == {"q": "1.9e-03", "tau_t": "2.3e-01", "tau_m": "1.4e+00"}
-    assert largest["kashiri2017, 1 kHz"] == {"q": "1.6e-03", "tau_t": "2.3e-01", "tau_m": "1.4e+00"}
+    assert largest["kamedula2016, 1 kHz"] == {"q": "1.6e-03", "tau_t": "2.3e-01", "tau_m": "1.4e+00"}
     right = largest["default scheme, read from the right"]
     assert (right["q"], right["tau_t"]) == ("3.1e-04", "4.4e-02")  # below the paper's 1.2e-3 and 0.12
     assert float(right["tau_m"]) == pytest.approx(32.0, abs=0.5)  # one sample out of place
@@ -217,16 +218,54 @@ def test_unknown_springs_and_delays_are_refused() -> None:
 
 
 def test_the_command_prints_the_tables(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(paper, "TRANSMISSIONS", {"K188": paper.TRANSMISSIONS["K188"]})
-    monkeypatch.setattr(paper, "RUNS", {"rk4, 1 kHz": ("rk4", 1000.0)})
-    monkeypatch.setattr(paper, "step_tables", partial(paper.step_tables, seconds=1.0))  # all of the motion
+    monkeypatch.setattr(paper, "STEP_SECONDS", 1.0)  # all of the motion
     monkeypatch.setenv("COLUMNS", "120")
-    assert main(["paper", "one-link", "--steps-only"]) == 0
+    assert main(["paper", "one-link", "--steps-only", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
-    for words in ("11.20", "HELD", "CONTINUOUS", "RMS / range", "3.5e-08", "0.00034"):
+    for words in ("11.20", "HELD", "CONTINUOUS", "RMS / range", "3.5e-08", "0.00034", "one-link.html"):
         assert words in printed
+    assert (tmp_path / "one-link.html").read_text(encoding="utf-8").count("<img") == 2
+
+
+def test_the_page_draws_fig_6_beside_the_papers_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three springs and three signals with their errors; the varying reference up to past its step."""
+    monkeypatch.setattr(paper, "STEP_SECONDS", 1.0)
+    monkeypatch.setattr(paper, "VARYING_SECONDS", paper.RAMP + 1.0)
+    told: list[float] = []
+    tables = one_link_tables.grids(report=lambda share, _what: told.append(share))
+    assert told == sorted(told) and told[-1] == 1.0 and len(told) > 5
+    page = one_link_page.page(tables).html()
+    assert page.count("<img") == 2 * 3 + 2 * 3
+    for words in ("Fig. 6, left", "Fig. 6, right", "the paper, Gazebo against Matlab", "ramp of 20 s"):
+        assert words in page
+    assert not re.findall('(?:src|href)="(?!data:)', page)  # opens offline
+    whole = one_link_tables.grids(steps_only=True)
+    assert one_link_page.page(whole, steps_only=True).html().count("<img") == 6
+
+
+def test_the_load_of_the_link_at_any_angle_is_that_of_two_poses() -> None:
+    model = paper.one_link("K188")
+    told = paper._commands(model, paper.VARYING)
+    for t in (0.0, 3.3, 9.0, 17.0, 33.0):
+        row = told(t)
+        for name, values in tomei(model, row["q_ref"][None, :]).items():
+            assert row[name] == pytest.approx(values[0], abs=1e-14), name
+
+
+def test_motions_are_the_same_from_one_process_and_from_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = [(paper.held, (name, paper.STEP, 0.05, "rk4", 1000.0)) for name in paper.TRANSMISSIONS]
+    found = []
+    for workers in ("1", "2"):
+        monkeypatch.setenv("FLEXJOINT_WORKERS", workers)
+        monkeypatch.setattr(motions, "_known", {})
+        motions.prepare(calls, paper.cost)
+        assert len(motions._known) == 3  # none is left to be computed
+        found.append([motions.motion(function, *arguments) for function, arguments in calls])
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one.q, other.q) and np.array_equal(one.tau_m, other.tau_m)
 
 
 def test_simulate_takes_a_scheme_and_warns_in_one_line(
@@ -240,9 +279,9 @@ def test_simulate_takes_a_scheme_and_warns_in_one_line(
     time = np.arange(60) / 1000
     write(make_recording(time, {("q_ref", "joint2"): np.full(60, 0.1)}), told)
     words = ["simulate", "--robot", str(stiff), "--reference", str(told), "--out", str(tmp_path / "out.csv")]
-    assert main([*words, "--scheme", "kashiri2017"]) == 0
+    assert main([*words, "--scheme", "kamedula2016"]) == 0
     warned = capsys.readouterr().err
-    assert warned.startswith("flexjoint: warning: kashiri2017 is unstable on the spring of joint joint2")
+    assert warned.startswith("flexjoint: warning: kamedula2016 is unstable on the spring of joint joint2")
     assert warned.count("\n") == 1
     assert main([*words, "--scheme", "euler"]) == 2
     assert "explicit_euler" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -40,8 +41,8 @@ def test_the_reference_is_smooth_and_passes_the_poses() -> None:
     places = [joint.idx_q for joint in model.joints]
     moving = ~whole_body.wheels(model)
     for k, pose in enumerate(whole_body.POSES):
-        tick = round((whole_body.WAIT + k * whole_body.LEG) * whole_body.CONTROL) - 1
-        expected = model.robot.configuration(pose)[places]
+        tick = round((whole_body.TIMING.wait + k * whole_body.TIMING.leg) * whole_body.CONTROL) - 1
+        expected = whole_body.configuration(pose)[places]
         np.testing.assert_allclose(plan.q[tick, moving], expected[moving], atol=1e-9)
         np.testing.assert_allclose(plan.dq[tick], 0.0, atol=1e-6)
     jumps = np.abs(np.diff(plan.dq, axis=0))
@@ -120,10 +121,33 @@ def test_unknown_variants_are_refused() -> None:
         whole_body.references("none", "motor")
 
 
-def test_the_command_prints_the_table_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["paper", "whole-body", "--figures", str(tmp_path)]) in (0, None)
+def test_the_command_prints_the_tables_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["paper", "whole-body", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    assert "spider" in out
-    assert "mammal" in out
-    assert len(list(tmp_path.glob("fig8_*.png"))) == 6
-    assert len(list(tmp_path.glob("fig9_*.png"))) == 6
+    assert "spider" in out and "mammal" in out and "wrote" in out
+    page = (tmp_path / "whole-body.html").read_text(encoding="utf-8")
+    assert page.count("<img") == 2 * 6 + 4  # Fig. 8 and 9, three rows of two joints; the errors of four
+    assert "Fig. 8" in page and "Fig. 9" in page and "speed [rad/s]" in page
+    assert not re.findall('(?:src|href)="(?!data:)', page)  # opens offline
+
+
+def test_the_arms_move_and_come_back() -> None:
+    """Fig. 8 has a moving reference."""
+    plan, shoulder, elbow = whole_body.plan(), at("j_arm1_1"), at("j_arm1_4")
+    for joint in (shoulder, elbow):
+        assert np.ptp(plan.q[:, joint]) > 0.3
+        assert plan.q[-1, joint] == pytest.approx(plan.q[0, joint], abs=1e-9)
+
+
+def test_wheels_follow_the_velocity_and_do_not_hold_a_place() -> None:
+    """Their torque while they roll is kd (dq_d - dtheta) and the damping fed forward, whatever theta is."""
+    model, tape = whole_body.robot_model(), variant("none", "link").trajectory
+    told, kd = whole_body.references("none", "link"), 20.0
+    ticks = np.arange(3000, 30000, 7)
+    rows = ticks * whole_body.PHYSICS // whole_body.CONTROL
+    for name in ("j_wheel_1", "j_wheel_4"):
+        i = at(name)
+        speed = tape.dtheta[rows, model.flexible.index(i)]
+        expected = told["tau_ff"][ticks, i] + kd * (told["dtheta_ref"][ticks, i] - speed)
+        np.testing.assert_allclose(tape.tau_m[rows, i], np.clip(expected, -35.0, 35.0), rtol=0, atol=1e-9)
+        assert np.ptp(tape.tau_m[rows, i]) > 1.0

@@ -12,6 +12,7 @@ from support.logs import JOINTS, assert_is, motion
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.core.text import plain
+from flexjoint.recording.formats import mcap
 from flexjoint.recording.formats.ros_messages import CONTROLLER, DYNAMIC, STATE, Messages
 from flexjoint.recording.importing import import_log, open_log
 from flexjoint.recording.logs.conversion import converted
@@ -75,6 +76,17 @@ def test_an_mcap_with_joint_states(tmp_path: Path) -> None:
     said = assert_is_the_motion(tmp_path / "log.mcap")
     assert "MCAP, messages of ROS 2" in said and "topics not read: /rosout" in said
     assert "JointState.effort is in N m; if the driver publishes currents, say so" in said
+
+
+def test_messages_that_are_read_tell_how_far_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap, "EVERY", 20)
+    write_mcap(tmp_path / "log.mcap")
+    told: list[float] = []
+    import_log(tmp_path / "log.mcap", progress=lambda share, _what: told.append(share))
+    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 1.0
+    assert len(told) > 5
 
 
 def test_a_broken_mcap_is_refused(tmp_path: Path) -> None:

@@ -370,7 +370,7 @@ def test_schemes_that_iterate_refuse_expressions() -> None:
 def test_the_papers_scheme_differs_only_in_the_motors_position() -> None:
     model = FlexibleJointModel(make(PLANAR), [])
     x, torque = moving(model), np.array([3.0, -2.0])
-    old, new = (make_step(model, 1e-3, name)(x, torque) for name in ("kashiri2017", "kashiri2017_new"))
+    old, new = (make_step(model, 1e-3, name)(x, torque) for name in ("kamedula2016", "kamedula2016_new"))
     np.testing.assert_array_equal(old.theta, x.theta + 1e-3 * x.dtheta)
     np.testing.assert_array_equal(new.theta, x.theta + 1e-3 * new.dtheta)
     for name in ("q", "v", "dtheta"):
