@@ -28,9 +28,9 @@ from flexjoint.diagnosis.search.together import combine
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.diagnosis.verdict import checks, held_out, verdict
-from flexjoint.diagnosis.verdict.beyond import completed
 from flexjoint.diagnosis.verdict.cases import Case, SimulatedCase, StatedCase
 from flexjoint.diagnosis.verdict.experiment import advice
+from flexjoint.diagnosis.verdict.friction import with_friction
 from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
 from flexjoint.diagnosis.verdict.review import notes, reviewed
 from flexjoint.diagnosis.verdict.unseen import remaining, unfinished
@@ -103,7 +103,7 @@ def diagnose(
     task.report(0.92, "measuring the gain on held-out data")
     case = reviewed(_simulated(case, robots[0], recordings[0], problem), checks.SIMULATION)
     case, robust = _searched_robustly(case, candidates, len(recordings), task)
-    case = reviewed(_completed(case, candidates, len(recordings), task), checks.SIMULATION)
+    case = reviewed(_with_friction(case, candidates, len(recordings), task), checks.SIMULATION)
     stated = reviewed(_stated(case, spread, refine, len(recordings), task), checks.FINDINGS)
     known = _known(recordings, payloads)
     checked = [notes(stated.trace[a:b]) for a, b in pairwise((0, len(first.trace), len(case.trace), None))]
@@ -229,14 +229,14 @@ def _searched_robustly(
     return found, again.notes
 
 
-def _completed(
+def _with_friction(
     case: SimulatedCase, candidates: Sequence[Candidate], count: int, task: _Task
 ) -> SimulatedCase:
-    """The case with causes that stand out of the background of single joints, of the only recording."""
+    """The case with ordinary friction of the joints of which it leaves much, of the only recording."""
     if count > 1:
         return case
     report = _part(task.report, SEARCHED + 0.02, 0.01)
-    selection = completed(case.selection, candidates, task.workers, task.budget.part(SEARCH_TIME), report)
+    selection = with_friction(case.selection, candidates, task.workers, task.budget.part(SEARCH_TIME), report)
     if selection is case.selection:
         return case
     best = selection.best

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from flexjoint.core.running.progress import Report, silent
-from flexjoint.core.worker_pool import worker_pool, workers_of
+from flexjoint.core.running.worker_pool import worker_pool, workers_of
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments, which can be hashed
 
