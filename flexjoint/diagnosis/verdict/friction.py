@@ -26,6 +26,7 @@ from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.verdict.unseen import (
+    Unseen,
     beyond_background,
     joint_left,
     remaining,
@@ -36,8 +37,6 @@ from flexjoint.effects import Planned, catalogue
 
 STAGE = "friction"  # in the trace
 WHY = "it removes more than a background on data that its fit did not see"
-ROUNDS = 3  # at most: what acts on two joints may give way to the friction of one
-
 Progress = Callable[[float, str], None]
 
 
@@ -62,25 +61,34 @@ def with_friction(
     if not friction or not beyond_background(left, limits):
         return selection
     selection = replace(selection, trace=())
+    looked: dict[str, float] = {}  # N m, what was left of a joint when it was looked at
     with worker_pool([*seen.shared(), *catalogue().values(), *friction], workers) as pool:
-        for _ in range(ROUNDS):
-            open_joints = beyond_background(left, limits)
+        while not budget.spent:
+            # what acts on two joints may have given way to the friction of one: more is then left of the other
+            open_joints = [
+                one
+                for one in beyond_background(left, limits)
+                if one.joint not in looked or _stands_out(seen, one, looked[one.joint])
+            ]
+            looked |= {one.joint: one.after for one in open_joints}
             found = _each_joint(seen, selection.best.effects, open_joints, friction, pool, budget, report)
-            if not found:
-                break
-            larger = _joined(selection, found)
-            after = {one.joint: one for one in remaining(unseen(larger.best, selection.nothing))}
             # beside all others and their tolerances some of it may be less than it was by itself
+            after = {one.joint: one.after for one in remaining(_unseen(selection, found))} if found else {}
             found = {
                 one.joint: found[one.joint]
                 for one in open_joints
-                if one.joint in found and _stands_out(seen, one, after[one.joint].after)
+                if one.joint in found and _stands_out(seen, one, after[one.joint])
             }
             if not found:
                 break
             selection = _joined(selection, found)
             left = remaining(unseen(selection.best, selection.nothing))
     return selection
+
+
+def _unseen(selection: Selection, found: dict[str, JointSet]) -> Unseen:
+    larger = _joined(selection, found)
+    return unseen(larger.best, larger.nothing)
 
 
 def _joined(selection: Selection, found: dict[str, JointSet]) -> Selection:

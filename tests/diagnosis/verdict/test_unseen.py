@@ -62,6 +62,17 @@ def test_three_convincing_causes_on_a_joint_are_believed_less() -> None:
     assert believed(CAUSE, beside=3) < believed(CAUSE)
 
 
+def test_ordinary_friction_is_believed_whatever_else_is_left_or_acts() -> None:
+    """As far as it stands out of the background and leaves no shape."""
+    left = replace(JOINT, after=15.0)
+    three = on_background(CAUSE, (left,), LIMITS, beside=3, ordinary=True)
+
+    assert three == on_background(CAUSE, (JOINT,), LIMITS, ordinary=True) > 0.8
+    assert on_background(replace(CAUSE, without=2.2), (left,), LIMITS, ordinary=True) < 0.5
+    stand_in = replace(CAUSE, left=20.0, structured=19.0)
+    assert on_background(stand_in, (left,), LIMITS, ordinary=True) < 0.1
+
+
 def test_a_cause_of_no_joint_that_is_measured_is_not_believed_by_its_size() -> None:
     assert believed(replace(CAUSE, joint="other")) == 0.0
 
@@ -79,16 +90,26 @@ def test_a_joint_is_finished_when_what_is_left_is_background(left: Remaining, op
     assert len(unfinished((left,), LIMITS)) == open_ones
 
 
-def simulated(before: float, after: float, joint: str | None = "elbow", beside: int = 1) -> float:
-    gain = Gain(True, 0.5, {"nrmse": {"phi.elbow": before}}, {"nrmse": {"phi.elbow": after}}, {})
+def simulated(without: float, with_it: float, joint: str | None = "elbow", beside: int = 1) -> float:
+    gains = [
+        Gain(True, 0.5, {"nrmse": {"phi.elbow": 1.4}}, {"nrmse": {"phi.elbow": left}}, {})
+        for left in (with_it, without)
+    ]
     named = effect("backlash", joint, gap=1e-3) if joint else effect("base_tilt", roll=0.01)
-    return by_simulation(gain, named, LIMITS, beside)
+    return by_simulation(*gains, named, LIMITS, beside)
 
 
 def test_a_cause_with_which_its_joint_is_simulated_far_better_is_believed() -> None:
     assert simulated(1.4, 0.14) > 0.5  # ten times
     assert simulated(1.4, 0.31) < 0.3  # as a stand-in that explains 95 % of the variance
     assert simulated(1.4, 1.4) < 0.05
+
+
+def test_a_cause_beside_which_others_gain_all_is_not_believed_for_their_gain() -> None:
+    """Nominal 1.4, and 0.14 with all causes: without this one the simulation is as good."""
+    assert simulated(0.14, 0.14) < 0.05
+    unknown = by_simulation(Gain(True, 0.5, {}, {"nrmse": {}}, {}), None, effect("backlash", "elbow"), LIMITS)
+    assert unknown == 0.0
 
 
 def test_a_simulation_says_nothing_of_another_joint_and_less_of_a_third_cause() -> None:
