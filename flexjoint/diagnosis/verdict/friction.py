@@ -64,7 +64,7 @@ def with_friction(
     looked: dict[str, float] = {}  # N m, what was left of a joint when it was looked at
     with worker_pool([*seen.shared(), *catalogue().values(), *friction], workers) as pool:
         while not budget.spent:
-            # what acts on two joints may have given way to the friction of one: more is then left of the other
+            # what acts on two joints may have given way to the friction of one: more is left of the other
             open_joints = [
                 one
                 for one in beyond_background(left, limits)
