@@ -608,6 +608,13 @@ class RobustSearchSettings(Stage):
 class RefinementSettings(Stage):
     """Refinement: numbers on the simulation itself, and when they are not taken."""
 
+    most_left: float = number(
+        30.0,
+        "noise deviations",
+        "that a set may leave in a balance, correlated samples counted as the few independent ones they are:"
+        " beyond it a simulation cannot be fitted to the noise of the readings",
+        "machine: EMPS, KR300 and TX40 leave 70 to 900, and no refinement of theirs was ever taken",
+    )
     window_lengths: tuple[float, ...] = number(
         (0.2, 0.1, 0.05), "s", "of the windows that are tried, the longest first", "judgement"
     )

@@ -73,7 +73,7 @@ def _begun(best: Fit, workers: int, budget: Budget) -> Refinement | str:
     residual by a third.
     """
     limits = best.settings.refinement
-    why = _unfit(best.problem.robot, best.problem.readings.recording)
+    why = _unfit(best.problem.robot, best.problem.readings.recording) or _beyond_noise(best)
     if why:
         return why
     chosen: Refinement | None = None
@@ -104,6 +104,14 @@ def _unfit(robot: Robot, recording: Recording) -> str:
     if torque_channel(recording, robot.joint_names) is None:
         return "not every motor torque is recorded"
     return ""
+
+
+def _beyond_noise(best: Fit) -> str:
+    """Why a refinement, which follows the readings to their noise, means nothing beside what a set leaves."""
+    left = float(np.sqrt(np.max(best.problem.variances(best.y))))
+    if left <= best.settings.refinement.most_left:
+        return ""
+    return f"what is left is {left:.0f} times the sensors' noise, to which the simulation would be fitted"
 
 
 def _trial(best: Fit, seconds: float, workers: int) -> Refinement | None:

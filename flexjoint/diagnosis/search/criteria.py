@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
+from flexjoint.diagnosis.regression.fit import Fit, fit, held_beside, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.effects import Kind, Parameter, Planned, Site
@@ -47,28 +47,27 @@ def score(result: Fit) -> float:
     return result.energy + price(result) + (reconstructed + chance) * len(result.effects)
 
 
-def unexplained_energy(result: Fit, joint: str | None = None) -> float:
-    """Energy above that of the predicted noise, in all balances or in those of a joint: on a real machine
-    each joint has its own error."""
-    problem = result.problem
-    if joint is None:
-        return max(0.0, result.energy - problem.noise_energy)
-    own = [problem.robot.joints[row.joint].name == joint for row in problem.balances.rows]
-    left = (problem.rest(result.y) * problem.weights).reshape(len(own), -1)[own]
-    noise = problem.freedom / len(own) * np.sum(1.0 / problem.level.inflation[own])
-    return max(0.0, float(np.sum(left**2) - noise))
+def unexplained_energy(result: Fit) -> float:
+    """Energy above that of the predicted noise."""
+    return max(0.0, result.energy - result.problem.noise_energy)
 
 
-def at_own_level(result: Fit) -> Fit:
-    """The set fitted again at the noise level that it leaves itself."""
+def at_own_level(result: Fit, tried: Planned | None = None) -> Fit:
+    """The set fitted again at the noise level that it leaves itself. Where one of its effects is `tried`,
+    those that share no balance with it keep their numbers."""
+    held = () if tried is None else held_beside(result.effects, tried)
     for _ in range(LEVEL_ROUNDS):
         last = result.problem
         problem = last.at(last.plausible_level(result.y))
         change = np.abs(np.log(problem.level.inflation / last.level.inflation))
-        result = fit(problem, result.effects)
+        result = fit(problem, result.effects, held=[e for e in result.effects if _kept(e, held)])
         if np.all(change < SAME_LEVEL):
             break
     return result
+
+
+def _kept(effect: Planned, held: Sequence[Planned]) -> bool:
+    return any(effect.key == other.key for other in held)
 
 
 def degenerate(problem: Problem, planned: Planned) -> bool:

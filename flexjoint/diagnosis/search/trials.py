@@ -11,7 +11,7 @@ import numpy as np
 
 from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, held_beside
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
@@ -83,7 +83,7 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
     levels = bare.problem.variances(above.y)
     if not np.any(levels[marked] > above.settings.regression.noise_decides):
         return above
-    below = fit(bare.problem, above.effects)
+    below = fit(bare.problem, above.effects, held=held_beside(above.effects[:-1], above.effects[-1]))
     if degenerate(below.problem, below.effects[-1]):
         return above
     lower = _cleared(best, bare.problem.variances(below.y), marked) > _cleared(best, levels, marked)
@@ -212,7 +212,7 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     """A set of one more effect than `best` at the noise level that it leaves, if the data support it there
     and if that level is clearly lower, or no nominal number is implausible any more."""
     best, trial = task
-    refitted = at_own_level(trial)
+    refitted = at_own_level(trial, trial.effects[-1])
     relieved = best.problem.level.implausibility > 1.0 and refitted.problem.level.implausibility <= 1.0
     # the part of the inflation that both sets need for implausible numbers has another cause than this one
     levels = refitted.problem.level.inflation / min(
@@ -312,9 +312,11 @@ def _added(task: tuple[Fit, Scored]) -> Fit | None:
 
 
 def added_to(current: Fit, scored: Scored) -> Fit | None:
-    """A set with a candidate added, fitted and dated; None where its fitted numbers mean nothing
-    (`degenerate`)."""
-    fitted = date_onset(fit(current.problem, [*current.effects, scored.planned()]))
+    """A set with a candidate added, fitted and dated, causes within other joints as they are; None where its
+    fitted numbers mean nothing (`degenerate`)."""
+    planned = scored.planned()
+    held = held_beside(current.effects, planned)
+    fitted = date_onset(fit(current.problem, [*current.effects, planned], held=held))
     return None if degenerate(current.problem, fitted.effects[-1]) else fitted
 
 
@@ -325,11 +327,13 @@ def date_onset(result: Fit) -> Fit:
     if added.since is None:
         return result
     problem, limits = result.problem, result.settings.search
-    always = fit(problem, [*result.effects[:-1], replace(added, since=None)])
+    held = held_beside(result.effects[:-1], added)
+    always = fit(problem, [*result.effects[:-1], replace(added, since=None)], held=held)
     for steps in limits.onset_steps:
         moved = _moved_onset(result, steps)
         if moved != result.effects[-1].since:
-            trial = fit(problem, [*result.effects[:-1], replace(result.effects[-1], since=moved)])
+            later = replace(result.effects[-1], since=moved)
+            trial = fit(problem, [*result.effects[:-1], later], held=held)
             if trial.energy < result.energy:
                 result = trial
     end, since = float(problem.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
