@@ -11,7 +11,7 @@ from flexjoint.core.errors import FlexJointError
 from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.diagnosis.refinement.output_error import Estimate, Refinement
 from flexjoint.diagnosis.refinement.shooting import Shooting, slot_label
-from flexjoint.diagnosis.regression.fit import Fit
+from flexjoint.diagnosis.regression.fit import LEAST_VARIANCE, Fit
 from flexjoint.diagnosis.regression.uncertainty import number_covariance
 from flexjoint.diagnosis.result import Estimation, Finding
 from flexjoint.diagnosis.settings import Settings
@@ -188,7 +188,7 @@ def _changed(finding: Finding, best: Fit, effects: Sequence[Planned], estimate: 
 def _estimation(
     best: Fit, spread: np.ndarray, bounds: np.ndarray, estimate: Estimate | None = None, why: str = ""
 ) -> Estimation:
-    size = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(spread), LEAST_VARIANCE))
     names = tuple(slot_label(best.effects, slot) for slot in best.slots)
     sides = {-1: "lower", 1: "upper"}
     return Estimation(

@@ -25,6 +25,7 @@ from flexjoint.effects import Parameter, Planned, Site
 MOST_DAMPING = 1e8  # of a scaled step: with more damping no step lowers the energy
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below any price
+LEAST_VARIANCE = 1e-200  # of a number: what is less is rounding
 NEAR = 0.01  # relative change of a joint's numbers up to which its derivatives are not computed again
 
 
@@ -351,5 +352,8 @@ def covariance(result: Fit, blocks: np.ndarray) -> np.ndarray:
     scores = np.stack([np.bincount(blocks, weights=row * residual, minlength=count) for row in projected])
     meat = scores @ scores.T * (count / max(1, count - k))
     robust = bread @ meat @ bread
-    scale = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(bread), 1e-300)))
+    own, seen = np.diag(robust), np.diag(bread)
+    # a number that no sample shows has neither
+    grown = np.divide(own, seen, out=np.ones(k), where=seen > LEAST_VARIANCE)
+    scale = np.sqrt(np.maximum(1.0, grown))
     return bread * np.outer(scale, scale)
