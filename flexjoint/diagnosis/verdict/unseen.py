@@ -13,15 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances
+from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances, balances_of
 from flexjoint.diagnosis.regression.deviations import deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, fit, nominal_deviations
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Remaining, Removed
-from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
 from flexjoint.diagnosis.verdict.held_out import held_out_blocks
 from flexjoint.diagnosis.verdict.residuals import smooth_curve
 from flexjoint.effects import Planned, Signals, Site
+from flexjoint.recording.currents import with_torques
+from flexjoint.recording.table import Recording
+from flexjoint.robot.robot import Robot
 
 RIDGE = 1e-3  # of a curve's normal matrix, on its mean diagonal: corners that few samples visit stay flat
 NEIGHBOURS = ("q", "tau_t")  # signals of a neighbour that may leave a trace: a cable over two joints
@@ -95,6 +98,15 @@ def _nominal(nothing: Fit) -> np.ndarray:
 def _of(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
     balances = problem.balances
     return np.asarray(balances.time_series(balances.residual(effects))[:, problem.readings.valid])
+
+
+def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL) -> dict[str, float]:
+    """RMS [N m], by joint, of the measured motor torque minus what the model needs for the measured motion, on
+    all usable samples; no number of the model is corrected but encoder offsets that are free."""
+    problem = Problem(balances_of(robot, with_torques(robot, recording), settings))
+    left = _nominal(fit(problem, []))
+    totals = {name: _total(problem.balances, left, j) for j, name in enumerate(robot.joint_names)}
+    return {name: float(np.sqrt(np.mean(x**2))) for name, x in totals.items() if x is not None}
 
 
 # ------------------------------------------------------------------ causes
