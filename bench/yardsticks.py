@@ -3,10 +3,11 @@ diagnosis never saw.
 
 PYTHONPATH=. python bench/yardsticks.py [--emps FOLDER]
 
-KR300: diagnosed on recording A, judged on B and C. TX40: diagnosed on the first half of its recording, judged on
-the second. EMPS (a linear drive; its data may not be shipped): FOLDER holds emps.yaml, emps_train_fj.csv and
-emps_pulses_fj.csv; diagnosed on the first, judged on the second. The fits by hand were made by an engineer with
-friction, offsets and known couplings. The extended model has the causes alone: no nominal number is corrected.
+KR300: diagnosed on recording A, judged on B and C. TX40: diagnosed on the first half of its recording,
+judged on the second. EMPS (a linear drive; its data may not be shipped): FOLDER holds emps.yaml,
+emps_train_fj.csv and emps_pulses_fj.csv; diagnosed on the first, judged on the second. The fits by hand were
+made by an engineer with friction, offsets and known couplings. The extended model has the causes alone: no
+nominal number is corrected.
 """
 
 from __future__ import annotations
@@ -34,18 +35,15 @@ def judged(name: str, robot: fj.Robot, seen: fj.Recording, others: Sequence[fj.R
     diagnosis = fj.diagnose(robot, seen)
     seconds = time.perf_counter() - started
     extended = diagnosis.extend(robot)
-    print(
-        f"\n{name}: {diagnosis.verdict}, {seconds:.0f} s for a recording of {seen.time[-1] - seen.time[0]:.0f} s"
-    )
+    print(f"\n{name}: {diagnosis.verdict}, {seconds:.0f} s for a recording of {seen.duration:.0f} s")
     for f in diagnosis.findings:
         print(f"  {f.probability:.2f}  {f.effect} {f.joint or ''}")
-    print(f"  {'joint':<12}{'judged on':<14}{'nominal':>10}{'extended':>10}{'by hand':>10}")
+    print(f"  {'joint':<12}{'judged on':<22}{'nominal':>10}{'extended':>10}{'by hand':>10}")
     for recording in others:
         before, after = (torque_errors(model, recording) for model in (robot, extended))
         for joint, by_hand in zip(robot.joint_names, BY_HAND[name], strict=True):
-            print(
-                f"  {joint:<12}{recording.name:<14}{before[joint]:>10.3g}{after[joint]:>10.3g}{by_hand:>10.3g}"
-            )
+            left = (before[joint], after[joint], by_hand)
+            print(f"  {joint:<12}{Path(recording.name).name:<22}" + "".join(f"{x:>10.3g}" for x in left))
 
 
 def main() -> None:

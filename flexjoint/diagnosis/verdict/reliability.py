@@ -62,15 +62,15 @@ def on_background(
     joints: Sequence[Remaining],
     settings: VerdictSettings,
     beside: int = 1,
-    ordinary: bool = False,
+    friction: float | None = None,
 ) -> float:
     """Probability that a name is right on a machine that also has a background: many small errors that nobody
     names. It grows with the torque that the cause removes over what a background is at most: the usual one,
     or what is left of the joint's torque where that is less. It is lower where more is left than a usual
     background and the sensors' noise, where a smooth law of one signal would remove much of that, and where
-    many causes are needed on one joint: `beside` counts the convincing ones there, this one included. An
-    `ordinary` cause is one that every machine has: whatever else is left, or acts beside it, says nothing
-    against it."""
+    many causes are needed on one joint: `beside` counts the convincing ones there, this one included.
+    Ordinary friction every machine has: whatever else is left, or acts beside it, says nothing against it, and a
+    shape that is left is held against all of a joint's friction, which removes `friction` [N m] together."""
     own = next((j for j in joints if j.joint == removed.joint), None)
     if own is None or own.torque <= 0.0:
         return 0.0
@@ -79,8 +79,9 @@ def on_background(
     background = max(min(usual, own.after), 1e-9 * usual)  # a recording without noise leaves rounding
     beyond_noise = float(np.sqrt(max(0.0, own.after**2 - own.noise**2)))
     odds = settings.background_size * float(np.log10(size / (settings.background_even * background)))
-    odds -= settings.background_shape * _decades(removed.structured / (settings.background_shaped * size))
-    if not ordinary:
+    shaped = settings.background_shaped * max(size, friction or 0.0)
+    odds -= settings.background_shape * _decades(removed.structured / shaped)
+    if friction is None:
         odds -= settings.background_more * _decades(beyond_noise / usual)
         odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))

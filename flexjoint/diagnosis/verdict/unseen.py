@@ -39,6 +39,7 @@ class Unseen:
     before: np.ndarray  # (rows, N) of the nominal model
     after: np.ndarray  # of the whole set
     without: tuple[np.ndarray, ...]  # of the same model without each of its causes
+    frictionless: Mapping[str, np.ndarray]  # without the ordinary friction of a joint that has some
 
 
 def unseen(best: Fit, nothing: Fit) -> Unseen:
@@ -47,8 +48,17 @@ def unseen(best: Fit, nothing: Fit) -> Unseen:
     fitted = fit(unseen_problem(best.problem), best.effects)
     problem, numbers = fitted.problem, nominal_deviations(fitted)
     without = [_left(problem, [e for e in fitted.effects if e is not one], numbers) for one in fitted.effects]
+    rubbing = dict.fromkeys(str(e.joint) for e in fitted.effects if e.effect.ordinary)
+    frictionless = {
+        joint: _left(
+            problem,
+            [e for e in fitted.effects if not (e.effect.ordinary and e.joint == joint)],
+            numbers,
+        )
+        for joint in rubbing
+    }
     after = _left(problem, fitted.effects, numbers)
-    return Unseen(best.problem, away(problem), _nominal(nothing), after, tuple(without))
+    return Unseen(best.problem, away(problem), _nominal(nothing), after, tuple(without), frictionless)
 
 
 def unseen_problem(problem: Problem) -> Problem:
@@ -123,6 +133,18 @@ def removed(data: Unseen, k: int) -> Removed:
         joint, where.balance, float(np.sqrt(without[row])), float(np.sqrt(left[row])),
         float(np.sqrt(share * left[row])), against,
     )  # fmt: skip
+
+
+def friction(data: Unseen, joint: str | None) -> float | None:
+    """[N m] RMS of the torque that all ordinary friction of a joint removes; None where it has none."""
+    if joint is None or joint not in data.frictionless:
+        return None
+    j = data.problem.robot.joint_names.index(joint)
+    without, left = (_total(data.problem.balances, x, j) for x in (data.frictionless[joint], data.after))
+    if without is None or left is None:
+        return None
+    gone = np.mean(without[data.away] ** 2) - np.mean(left[data.away] ** 2)
+    return float(np.sqrt(max(0.0, gone)))
 
 
 # ------------------------------------------------------------------ joints

@@ -19,7 +19,7 @@ from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability
 from flexjoint.diagnosis.verdict.ties import preferred, ties
-from flexjoint.diagnosis.verdict.unseen import Unseen, remaining, removed
+from flexjoint.diagnosis.verdict.unseen import Unseen, friction, remaining, removed
 from flexjoint.effects import Kind, Planned, Site
 
 
@@ -41,10 +41,10 @@ def findings(
     sliding = best.problem.robot.prismatic
     out: list[Finding] = []
     cleared = [removed(data, k) for k in range(len(best.effects))]
-    ordinary = [e.effect.ordinary for e in best.effects]
+    rubbing = [friction(data, e.joint) if e.effect.ordinary else None for e in best.effects]
     convincing = [
-        on_background(one, joints, limits, ordinary=usual) >= limits.likely
-        for one, usual in zip(cleared, ordinary, strict=True)
+        on_background(one, joints, limits, friction=together) >= limits.likely
+        for one, together in zip(cleared, rubbing, strict=True)
     ]
     for k, planned in enumerate(best.effects):
         # what every machine has, or a sensor adds to its reading, is no rival of what moves the joint
@@ -59,7 +59,7 @@ def findings(
         left, share = left_by(best, selection.nothing, k)
         believed = max(
             reliability(best, left, share, k),
-            on_background(cleared[k], joints, limits, beside, ordinary[k]),
+            on_background(cleared[k], joints, limits, beside, rubbing[k]),
         )
         if believed < limits.likely:
             believed = max(believed, simulated(k, beside))

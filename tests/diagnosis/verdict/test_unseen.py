@@ -65,12 +65,14 @@ def test_three_convincing_causes_on_a_joint_are_believed_less() -> None:
 def test_ordinary_friction_is_believed_whatever_else_is_left_or_acts() -> None:
     """As far as it stands out of the background and leaves no shape."""
     left = replace(JOINT, after=15.0)
-    three = on_background(CAUSE, (left,), LIMITS, beside=3, ordinary=True)
+    three = on_background(CAUSE, (left,), LIMITS, beside=3, friction=21.0)
 
-    assert three == on_background(CAUSE, (JOINT,), LIMITS, ordinary=True) > 0.8
-    assert on_background(replace(CAUSE, without=2.2), (left,), LIMITS, ordinary=True) < 0.5
+    assert three == on_background(CAUSE, (JOINT,), LIMITS, friction=21.0) > 0.8
+    assert on_background(replace(CAUSE, without=2.2), (left,), LIMITS, friction=0.9) < 0.5
     stand_in = replace(CAUSE, left=20.0, structured=19.0)
-    assert on_background(stand_in, (left,), LIMITS, ordinary=True) < 0.1
+    assert on_background(stand_in, (left,), LIMITS, friction=6.4) < 0.1
+    # beside the other friction of its joint, which removes far more, the shape is small
+    assert on_background(stand_in, (left,), LIMITS, friction=100.0) > 0.5
 
 
 def test_a_cause_of_no_joint_that_is_measured_is_not_believed_by_its_size() -> None:

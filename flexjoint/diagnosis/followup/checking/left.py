@@ -26,7 +26,7 @@ def left_by(best: Fit, nothing: Fit | None = None) -> tuple[Remaining, ...]:
         away = np.arange(away.size) % 2 == 1  # too short for blocks
     after = _series(best)
     before = after if nothing is None else _series(nothing)
-    return remaining(Unseen(problem, away, before, after, ()))
+    return remaining(Unseen(problem, away, before, after, (), {}))
 
 
 def _series(best: Fit) -> np.ndarray:
