@@ -69,8 +69,9 @@ def on_background(
     or what is left of the joint's torque where that is less. It is lower where more is left than a usual
     background and the sensors' noise, where a smooth law of one signal would remove much of that, and where
     many causes are needed on one joint: `beside` counts the convincing ones there, this one included.
-    Ordinary friction every machine has: whatever else is left, or acts beside it, says nothing against it, and a
-    shape that is left is held against all of a joint's friction, which removes `friction` [N m] together."""
+    Ordinary friction every machine has: whatever else is left, or acts beside it, says nothing against it,
+    and a shape that is left is held against all friction of its joint, which removes `friction` [N m]
+    together."""
     own = next((j for j in joints if j.joint == removed.joint), None)
     if own is None or own.torque <= 0.0:
         return 0.0
