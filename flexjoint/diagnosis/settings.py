@@ -948,6 +948,50 @@ class CheckSettings(Stage):
 
 
 @dataclass(frozen=True)
+class LearnSettings(Stage):
+    """Learn: smooth laws of what no cause explains."""
+
+    outside: float = number(
+        0.005,
+        "share of the samples",
+        "beyond either end of a law's range, where it is constant: few samples are no law",
+        "judgement",
+    )
+    folds: int = number(
+        8, "blocks of time", "left out in turn at most, to choose signal and smoothness", "judgement"
+    )
+    share: float = number(
+        0.2,
+        "share of the squared error above noise",
+        "that a law must remove on data that its fit did not see",
+        "judgement",
+    )
+    sure: float = number(
+        3.0,
+        "standard errors",
+        "by which that must differ from nothing, over the blocks of time",
+        "theory: three standard deviations",
+    )
+    least_blocks: int = number(
+        3, "blocks of time", "that were fitted, and that were not, at least", "judgement"
+    )
+    size: float = number(
+        1.0, "torque tolerances", "that a law must remove (RMS)", "theory: what a tolerance means"
+    )
+    most: int = number(2, "laws", "of one joint at most", "judgement")
+    worse: float = number(
+        1.01,
+        "times the simulated error",
+        "on unseen data, of the joint or of the robot, from which a law is dropped",
+        "judgement",
+    )
+    alike: float = number(
+        0.9, "correlation", "from which a law of the catalogue is one that it resembles", "judgement"
+    )
+    unlike: float = number(0.7, "correlation", "below which it is one that it does not resemble", "judgement")
+
+
+@dataclass(frozen=True)
 class Settings:
     """All numbers that decide in a diagnosis, stage by stage."""
 
@@ -961,6 +1005,7 @@ class Settings:
     verdict: VerdictSettings = VerdictSettings()
     agreement: AgreementSettings = AgreementSettings()
     check: CheckSettings = CheckSettings()
+    learn: LearnSettings = LearnSettings()
 
     def stages(self) -> Iterator[tuple[str, Stage]]:
         """Every stage with its name, in the order in which they run."""

@@ -229,9 +229,7 @@ def test_absent_at_null(effect: Effect) -> None:
     z = effect.states[0] if effect.states else 0.0
     for _ in range(40):
         i = inputs(effect, sample(effect, rng))
-        i.p = i.p._replace(
-            **{p.name: p.null if p.size == 1 else (p.null,) * p.size for p in effect.nulls}
-        )
+        i.p = i.p._replace(**{p.name: p.null if p.size == 1 else (p.null,) * p.size for p in effect.nulls})
         if effect.overrides("steady_state"):  # an absent effect's state follows its signals at once
             z = effect.steady_state(i.s, i.p)
         assert effect.map(i.s, i.p, i.x) == i.x
