@@ -969,7 +969,7 @@ class LearnSettings(Stage):
     sure: float = number(
         3.0,
         "standard errors",
-        "by which that must differ from nothing, over the blocks of time",
+        "by which that must differ from nothing, over pieces of time as in every standard error",
         "theory: three standard deviations",
     )
     least_blocks: int = number(

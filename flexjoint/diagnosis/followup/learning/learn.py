@@ -207,11 +207,12 @@ class _Task:
         rows = np.array([problem.robot.joints[r.joint].name == law.joint for r in problem.balances.rows])
 
         def squares(residual: np.ndarray) -> np.ndarray:
-            """(blocks,) squared error of the joint's balances by block."""
+            """(pieces,) squared error of the joint's balances by piece of the blocks that were not fitted."""
             rest = (seen.rest(residual) * unseen.weights).reshape(rows.size, -1)[rows]
-            per_sample = np.sum(rest**2, axis=0)
-            away = self.block[self.away]
-            return np.bincount((away - away[0]) // 2, per_sample[self.away])
+            return np.bincount(piece, np.sum(rest**2, axis=0)[self.away])
+
+        time = (problem.time - problem.time[0])[self.away]
+        _, piece = np.unique((time / problem.settings.regression.time_block).astype(int), return_inverse=True)
 
         without, left = squares(y), squares(problem.residual([*base, law]))
         gained = without - left
@@ -219,8 +220,10 @@ class _Task:
         noise *= problem.whitening.freedom / rows.size
         above = max(float(np.sum(without)) - noise, 1e-300)
         share = float(np.sum(gained)) / above
-        spread = float(np.std(gained, ddof=1) / np.sqrt(gained.size))
-        sure = float(np.mean(gained)) >= limits.sure * spread
+        # the standard error of a ratio of sums over pieces that differ in size (Cochran 1977, section 2.11)
+        ratio = float(np.sum(gained)) / max(float(np.sum(without)), 1e-300)
+        spread = np.sqrt(gained.size / (gained.size - 1.0) * np.sum((gained - ratio * without) ** 2))
+        sure = float(np.sum(gained)) >= limits.sure * float(spread)
         removed = self._removed(base, law, y)
         size = np.sqrt(max(0.0, removed.without**2 - removed.left**2))
         at = problem.robot.joint_names.index(law.joint or "")
