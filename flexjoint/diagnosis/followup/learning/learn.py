@@ -38,7 +38,6 @@ from flexjoint.diagnosis.search.candidates import Candidate, visible
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.diagnosis.verdict.held_out import errors, held_out_blocks, noise_floor
-from flexjoint.diagnosis.verdict.unseen import unfinished
 from flexjoint.effects import Planned, Signals, Site, catalogue
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.currents import with_torques
@@ -87,7 +86,7 @@ def learn(
         raise FlexJointError(
             f"learn: expected what diagnose returns, got a {type(diagnosis).__name__}; diagnose first"
         )
-    joints = _left(diagnosis, settings)
+    joints = _left(robot, diagnosis, settings)
     if not joints:
         return replace(diagnosis, learned=Learned())
     base = replace(diagnosis, learned=None).extend(robot)  # which checks the names
@@ -105,12 +104,17 @@ def learn(
     return replace(diagnosis, learned=Learned(task.stated(kept), simulation, notes))
 
 
-def _left(diagnosis: Diagnosis, settings: Settings) -> list[str]:
-    """Joints at which the model with the likely causes leaves an error: those that the verdict names, and
-    those of causes that are not likely enough to be in the model."""
-    likely = diagnosis.likely(LEAST)
+def _left(robot: Robot, diagnosis: Diagnosis, settings: Settings) -> list[str]:
+    """Joints at which the model with the likely causes leaves an error beyond noise and tolerance, and those
+    of causes that are not likely enough to be in the model; none of a healthy machine."""
+    if diagnosis.verdict in ("healthy", "refused"):
+        return []
+    likely, limits = diagnosis.likely(LEAST), settings.verdict
     names = [u.joint for u in diagnosis.unexplained]
-    names += [r.joint for r in unfinished(diagnosis.remaining, settings.verdict)]
+    floor = settings.learn.size * robot.tolerance.torque
+    for left in diagnosis.remaining:
+        if left.after > max(limits.above_noise * left.noise, floor * left.torque):
+            names.append(left.joint)
     for finding in diagnosis.findings:
         if finding not in likely:
             names += [one.joint for one in finding.members or (finding.planned,) if one.joint is not None]
