@@ -969,11 +969,18 @@ class LearnSettings(Stage):
     sure: float = number(
         3.0,
         "standard errors",
-        "by which that must differ from nothing, over pieces of time as in every standard error",
+        "by which that must differ from nothing, over pieces of time, and the law itself from none",
         "theory: three standard deviations",
     )
     least_blocks: int = number(
-        3, "blocks of time", "that were fitted, and that were not, at least", "judgement"
+        4, "blocks of time", "that are fitted, and as many that are not, at least", "judgement"
+    )
+    shortest_block: float = number(
+        0.5,
+        "s",
+        "of such a block, which is as long as one of a cause's where the recording allows: a window of the"
+        " simulation",
+        "judgement",
     )
     size: float = number(
         1.0, "torque tolerances", "that a law must remove (RMS)", "theory: what a tolerance means"

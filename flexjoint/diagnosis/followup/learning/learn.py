@@ -1,8 +1,8 @@
 """Laws without a name: what the likely causes leave, followed by a smooth law of one signal.
 
 A finished diagnosis is taken as it is, and never changed. At joints at which an error is left, laws of one
-signal compete (splines.py) on every second block of two seconds, each foretelling blocks that were left out
-of its own fit. The best is judged on the other blocks, and kept where it removes enough there, and where the
+signal compete (splines.py) on every second block of time, each foretelling blocks that were left out of its
+own fit. The best is judged on the other blocks, and kept where it removes enough there, and where the
 simulation on them is not worse. Its numbers then come from the whole recording.
 """
 
@@ -22,6 +22,7 @@ from flexjoint.diagnosis.comparison.compare import HORIZON, compared
 from flexjoint.diagnosis.followup.learning.advice import advice
 from flexjoint.diagnosis.followup.learning.likeness import likenesses
 from flexjoint.diagnosis.followup.learning.splines import (
+    POINTS,
     Choice,
     Fitted,
     Shape,
@@ -38,14 +39,13 @@ from flexjoint.diagnosis.search.candidates import Candidate, visible
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.diagnosis.verdict.held_out import errors, held_out_blocks, noise_floor
-from flexjoint.effects import Planned, Signals, Site, catalogue
+from flexjoint.effects import Planned, catalogue
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 
-DRAWN = 61  # points of a law's curve
 UNITS = {"tau_t": "N m", "dtheta": "rad/s", "dq": "rad/s"}  # of signals; rad else
 
 
@@ -140,6 +140,7 @@ class _Task:
     recording: Recording
     causes: tuple[Planned, ...]
     problem: Problem
+    length: float  # s, of the blocks of time
     block: np.ndarray  # (N,) number of each sample's block; odd ones are not fitted
 
     @classmethod
@@ -147,8 +148,10 @@ class _Task:
         problem = Problem(balances_of(robot, recording, settings)).about(causes)
         problem = problem.at(problem.plausible_level(problem.residual(causes)))
         time = problem.balances.chains.t[0] + problem.time
-        block = np.floor(time / settings.verdict.held_out_block).astype(int)
-        return cls(robot, recording, tuple(causes), problem, block)
+        shorter = float(np.ptp(time)) / (2 * settings.learn.least_blocks)
+        length = max(min(settings.verdict.held_out_block, shorter), settings.learn.shortest_block)
+        block = np.floor(time / length).astype(int)
+        return cls(robot, recording, tuple(causes), problem, length, block)
 
     @property
     def away(self) -> np.ndarray:
@@ -161,7 +164,7 @@ class _Task:
         limits = self.problem.settings.learn
         counts = [np.unique(self.block[x]).size for x in (self.away, ~self.away)]
         if min(counts) < limits.least_blocks:
-            seconds = 2 * limits.least_blocks * self.problem.settings.verdict.held_out_block
+            seconds = 2 * limits.least_blocks * limits.shortest_block
             return [], (f"no law was learned: that takes {seconds:g} s of motion",)
         found: list[_Judged] = []
         late = []
@@ -193,7 +196,10 @@ class _Task:
         best = min(choices, key=lambda choice: choice.foretold, default=None)
         if best is None or best.foretold >= 1.0:
             return None
-        return self._judged(base, best, fitted(seen, best, y).law, y)
+        trial = fitted(seen, best, y)
+        if trial.certainty < self.problem.settings.learn.sure:
+            return None
+        return self._judged(base, best, trial.law, y)
 
     def _shape(self, candidate: Candidate, base: Sequence[Planned]) -> Shape | None:
         return shape_of(self.problem, candidate, base, self.problem.settings.learn)
@@ -240,8 +246,7 @@ class _Task:
         """RMS [N m] of the joint's balance that a law clears most, without it and with it, on the blocks that
         were not fitted; nominal numbers as they are fitted beside it on the others."""
         problem = self.problem.only(~self.away)
-        time, block = problem.balances.chains.t, problem.settings.verdict.held_out_block
-        away = held_out_blocks(time, block)[problem.readings.valid]
+        away = held_out_blocks(problem.balances.chains.t, self.length)[problem.readings.valid]
 
         def left(effects: Sequence[Planned], residual: np.ndarray) -> np.ndarray:
             numbers = converged_deviations(problem, effects, residual)
@@ -268,8 +273,7 @@ class _Task:
         without them and with them."""
         if not found:
             return [], None
-        block = self.problem.settings.verdict.held_out_block
-        rows = held_out_blocks(self.recording.time - self.recording.time[0], block)
+        rows = held_out_blocks(self.recording.time - self.recording.time[0], self.length)
 
         def measured(laws: Sequence[Planned]) -> dict[str, Mapping[str, float]]:
             model = FlexibleJointModel(self.robot.extended([*self.causes, *laws]))
@@ -333,11 +337,7 @@ class _Task:
     def _stated(self, one: _Judged, final: Fitted, alike: tuple[Likeness, ...]) -> LearnedLaw:
         law = final.law
         joint, signal = law.joint or "", dict(law.values)["signal"]
-        start, span = (float(law.values[name]) for name in ("start", "span"))
-        at = np.linspace(start, start + span, DRAWN)
-        basis = _basis(law, at)
-        value = basis @ np.array(law.values[coefficients_of(law).name])
-        std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, final.covariance, basis), 0.0))
+        at, value, std = final.curve(POINTS)
         size = coefficients_of(law)
         sliding = joint in self.robot.prismatic
         return LearnedLaw(
@@ -370,17 +370,3 @@ def _candidates(problem: Problem, joint: str) -> list[Candidate]:
         if not (rigid and signal == "tau_t")  # a rigid joint's model has no spring that tells it
         if visible(problem, candidate := Candidate(effect, joint, ((word.name, signal),)))
     ]
-
-
-def _basis(law: Planned, at: np.ndarray) -> np.ndarray:
-    """(N, k) what a unit of each coefficient makes of the signal's values (N,), by the law itself."""
-    size = coefficients_of(law)
-    signals = Signals(**{dict(law.values)["signal"]: at})
-    columns = []
-    for k in range(size.size):
-        p = law.with_values({size.name: tuple(float(i == k) for i in range(size.size))}).p
-        if law.effect.site is Site.DEFLECTION:
-            columns.append(law.effect.map(signals, p, signals.phi) - signals.phi)
-        else:
-            columns.append(law.effect.torque(signals, p, 0.0))
-    return np.stack([column * np.ones_like(at) for column in columns], axis=1)

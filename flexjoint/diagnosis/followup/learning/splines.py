@@ -23,20 +23,23 @@ from scipy.linalg import cho_factor, cho_solve
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.settings import LearnSettings
-from flexjoint.effects import Parameter, Planned
+from flexjoint.effects import Parameter, Planned, Signals, Site
 
 TRIAL = 1e-3  # of a joint's torque: laws are linear in their coefficients, a spring's law nearly so
 RIDGE = 1e-6  # of the mean curvature: coefficients that no sample shows stay finite
+POINTS = 61  # of a law's curve
 WEIGHTS = np.logspace(-3.0, 5.0, 17)  # of the penalty, of curvature: from all degrees of freedom to two
 
 
 @dataclass(frozen=True)
 class Shape:
     """A law to be fitted: an effect on a joint with its signal and the signal's range, and its whitened
-    columns (coefficients, samples), one unit of each coefficient."""
+    columns (coefficients, samples), one unit of each coefficient. `mean` (coefficients,) gives the law's mean
+    over the recording."""
 
     law: Planned
     columns: np.ndarray
+    mean: np.ndarray
 
     def at(self, coefficients: np.ndarray, std: Sequence[float] = ()) -> Planned:
         """The law with these coefficients, inside their bounds."""
@@ -84,7 +87,21 @@ def shape_of(
         unit = tuple(trial if i == k else 0.0 for i in range(size.size))
         moved = problem.denoised_moved_band(base, [*base, law.with_values({size.name: unit})])
         columns.append(problem.whitening.white(moved).ravel() / trial)
-    return Shape(law, np.array(columns))
+    return Shape(law, np.array(columns), np.mean(basis(law, signal), axis=0))
+
+
+def basis(law: Planned, at: np.ndarray) -> np.ndarray:
+    """(N, k) what a unit of each coefficient makes of the signal's values (N,), by the law itself."""
+    size = coefficients_of(law)
+    signals = Signals(**{law.values["signal"]: at})
+    columns = []
+    for k in range(size.size):
+        p = law.with_values({size.name: tuple(float(i == k) for i in range(size.size))}).p
+        if law.effect.site is Site.DEFLECTION:
+            columns.append(law.effect.map(signals, p, signals.phi) - signals.phi)
+        else:
+            columns.append(law.effect.torque(signals, p, 0.0))
+    return np.stack([column * np.ones_like(at) for column in columns], axis=1)
 
 
 def penalty(count: int) -> np.ndarray:
@@ -137,13 +154,29 @@ class Fitted:
     covariance: np.ndarray
     freedom: float
 
+    def curve(self, points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(points,) of the signal over the law's range, of the law, and of its standard errors."""
+        start, span = (float(self.law.values[name]) for name in ("start", "span"))
+        at = np.linspace(start, start + span, points)
+        columns = basis(self.law, at)
+        value = columns @ np.array(self.law.values[coefficients_of(self.law).name])
+        variance = np.einsum("ij,jk,ik->i", columns, self.covariance, columns)
+        return at, value, np.sqrt(np.maximum(variance, 0.0))
+
+    @property
+    def certainty(self) -> float:
+        """Distance of the law from none, in its standard errors where it is furthest."""
+        _, value, std = self.curve(POINTS)
+        return float(np.max(np.abs(value) / np.maximum(std, 1e-300)))
+
 
 def fitted(problem: Problem, choice: Choice, y: np.ndarray) -> Fitted:
     """The coefficients from the samples that a problem uses.
 
     The covariance is that of the posterior (Wahba 1983; Wood 2006), widened where scores of blocks of time
-    say that what is left is not white (`fit.covariance` does the same)."""
-    shape = choice.shape
+    say that what is left is not white (`fit.covariance` does the same). A mean that is not known, since
+    unknown zeros of sensors and torques may stand for it, is no part of the law: its mean is then zero."""
+    shape, limits = choice.shape, problem.settings.learn
     normal, slope = problem.normal(shape.columns, y)
     penalised = penalty(len(normal)) * choice.weight * np.trace(normal) / np.trace(penalty(len(normal)))
     factor = _factor(normal, penalised)
@@ -159,4 +192,7 @@ def fitted(problem: Problem, choice: Choice, y: np.ndarray) -> Fitted:
     robust = bread @ scores @ scores.T @ bread * count / max(1.0, count - freedom)
     wider = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(bread), 1e-300)))
     covariance = bread * np.outer(wider, wider)
+    if abs(shape.mean @ c) < limits.sure * np.sqrt(shape.mean @ covariance @ shape.mean):
+        about = np.eye(len(c)) - np.outer(np.ones(len(c)), shape.mean)  # equal coefficients: a constant
+        c, covariance = about @ c, about @ covariance @ about.T
     return Fitted(shape.at(c, np.sqrt(np.diag(covariance)).tolist()), covariance, freedom)
