@@ -992,6 +992,13 @@ class LearnSettings(Stage):
         "on unseen data, of the joint or of the robot, from which a law is dropped",
         "judgement",
     )
+    worse_place: float = number(
+        1.25,
+        "times the torque error",
+        "with a law, at any tenth of its signal on unseen data, from which it is dropped",
+        "study: a struck end stop, by whose spline another motion was 14 times worse; theory: RMS of some"
+        " hundred samples scatter by a tenth",
+    )
     alike: float = number(
         0.9, "correlation", "from which a law of the catalogue is one that it resembles", "judgement"
     )

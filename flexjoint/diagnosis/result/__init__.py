@@ -61,13 +61,15 @@ class Diagnosis(Result):
 
     def extend(self, robot: Robot, least: float = LEAST) -> Robot:
         """The robot with the causes in its model that are at least as probable as `least`; 0 takes all. Laws
-        that were learned beside the likely causes come in, too (`flexjoint.learn`).
+        that were learned (`flexjoint.learn`) come in where the causes are those beside which they were: the
+        likely ones. Beside others they would explain the same error twice.
 
         Raises RobotError of what is no robot, UnknownNameError of a robot without a cause's joint.
         """
         robot = expect(robot, "extend")
         effects = [e for finding in self.likely(least) for e in (finding.members or (finding.planned,))]
-        effects += [law.planned for law in self.learned.laws] if self.learned is not None else []
+        if self.learned is not None and self.likely(least) == self.likely(LEAST):
+            effects += [law.planned for law in self.learned.laws]
         for item in effects:
             if item.joint is not None and item.joint not in robot.joint_names:
                 raise unknown("joint", item.joint, robot.joint_names)

@@ -2,8 +2,10 @@
 
 A finished diagnosis is taken as it is, and never changed. At joints at which an error is left, laws of one
 signal compete (splines.py) on every second block of time, each foretelling blocks that were left out of its
-own fit. The best is judged on the other blocks, and kept where it removes enough there, and where the
-simulation on them is not worse. Its numbers then come from the whole recording.
+own fit; the best of them also over a half, a quarter and an eighth of its range at either end. It is judged
+on the other blocks, and kept where it removes enough there, where it adds no error at any place of its
+signal (places.py), and where the simulation on them is not worse. Its numbers then come from the whole
+recording.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.comparison.compare import HORIZON, compared
 from flexjoint.diagnosis.followup.learning.advice import advice
 from flexjoint.diagnosis.followup.learning.likeness import likenesses
+from flexjoint.diagnosis.followup.learning.places import worst_place
 from flexjoint.diagnosis.followup.learning.splines import (
+    PARTS,
     POINTS,
     Choice,
     Fitted,
@@ -29,6 +33,7 @@ from flexjoint.diagnosis.followup.learning.splines import (
     chosen,
     coefficients_of,
     fitted,
+    part_of,
     shape_of,
 )
 from flexjoint.diagnosis.regression.deviations import converged_deviations, deviation_effects
@@ -194,12 +199,24 @@ class _Task:
             if shape is not None:
                 choices.append(chosen(seen, shape, y, folds))
         best = min(choices, key=lambda choice: choice.foretold, default=None)
-        if best is None or best.foretold >= 1.0:
+        if best is None:
             return None
-        trial = fitted(seen, best, y)
+        nearer = [part_of(self.problem, best.shape, part, base) for part in PARTS]
+        choices = [chosen(seen, shape, y, folds) for shape in nearer if shape is not None]
+        best = min([best, *choices], key=lambda choice: choice.foretold)
+        if best.foretold >= 1.0:
+            return None
+        centred, other = (self._tried(base, replace(best, centred=c), y) for c in (True, False))
+        if centred is None or other is None:
+            return centred or other
+        limit = self.problem.settings.learn.worse_place
+        return centred if centred.removed.left <= limit * other.removed.left else other
+
+    def _tried(self, base: Sequence[Planned], choice: Choice, y: np.ndarray) -> _Judged | None:
+        trial = fitted(self.problem.only(~self.away), choice, y)
         if trial.certainty < self.problem.settings.learn.sure:
             return None
-        return self._judged(base, best, trial.law, y)
+        return self._judged(base, choice, trial.law, y)
 
     def _shape(self, candidate: Candidate, base: Sequence[Planned]) -> Shape | None:
         return shape_of(self.problem, candidate, base, self.problem.settings.learn)
@@ -234,38 +251,43 @@ class _Task:
         ratio = float(np.sum(gained)) / max(float(np.sum(without)), 1e-300)
         spread = np.sqrt(gained.size / (gained.size - 1.0) * np.sum((gained - ratio * without) ** 2))
         sure = float(np.sum(gained)) >= limits.sure * float(spread)
-        removed = self._removed(base, law, y)
+        removed, worst = self._removed(base, law, y)
         size = np.sqrt(max(0.0, removed.without**2 - removed.left**2))
         at = problem.robot.joint_names.index(law.joint or "")
         floor = limits.size * problem.robot.tolerance.torque * float(problem.torque_scale[at])
-        if share < limits.share or not sure or size < floor:
+        if share < limits.share or not sure or size < floor or worst > limits.worse_place:
             return None
         return _Judged(choice, law, removed, min(share, 1.0))
 
-    def _removed(self, base: Sequence[Planned], law: Planned, y: np.ndarray) -> Removed:
+    def _removed(self, base: Sequence[Planned], law: Planned, y: np.ndarray) -> tuple[Removed, float]:
         """RMS [N m] of the joint's balance that a law clears most, without it and with it, on the blocks that
-        were not fitted; nominal numbers as they are fitted beside it on the others."""
+        were not fitted; nominal numbers as they are fitted beside it on the others. Beside it, how many times
+        as large the joint's error is with the law, at the place of its signal where that is most."""
         problem = self.problem.only(~self.away)
         away = held_out_blocks(problem.balances.chains.t, self.length)[problem.readings.valid]
 
-        def left(effects: Sequence[Planned], residual: np.ndarray) -> np.ndarray:
+        def series(effects: Sequence[Planned], residual: np.ndarray) -> np.ndarray:
             numbers = converged_deviations(problem, effects, residual)
             every = [*problem.with_nominal(effects), *deviation_effects(problem, numbers)]
-            series = problem.balances.time_series(problem.balances.residual(every)) - problem.jumped(numbers)
-            return np.asarray(np.mean(series[:, problem.readings.valid][:, away] ** 2, axis=1))
+            left = problem.balances.time_series(problem.balances.residual(every)) - problem.jumped(numbers)
+            return np.asarray(left[:, problem.readings.valid][:, away])
 
-        first, last = left(base, y), left([*base, law], problem.residual([*base, law]))
+        without, left = series(base, y), series([*base, law], problem.residual([*base, law]))
+        first, last = (np.asarray(np.mean(r**2, axis=1)) for r in (without, left))
         own = [
             k
             for k, row in enumerate(problem.balances.rows)
             if problem.robot.joints[row.joint].name == law.joint
         ]
         at = max(own, key=lambda k: (first[k] - last[k]) / max(last[k], problem.deviation[k] ** 2, 1e-300))
+        signal = np.asarray(getattr(problem.signals(law.joint or ""), dict(law.values)["signal"]))[away]
+        worst = worst_place(signal, without[own], left[own], problem.deviation[own])
         where = problem.balances.rows[at]
-        return Removed(
+        removed = Removed(
             law.joint or "", where.balance, float(np.sqrt(first[at])), float(np.sqrt(last[at])), 0.0,
             dict(law.values)["signal"],
         )  # fmt: skip
+        return removed, worst
 
     # ------------------------------------------------------------------ simulation
     def simulated(self, found: Sequence[_Judged]) -> tuple[list[_Judged], Gain | None]:

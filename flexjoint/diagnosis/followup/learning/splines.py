@@ -26,6 +26,8 @@ from flexjoint.diagnosis.settings import LearnSettings
 from flexjoint.effects import Parameter, Planned, Signals, Site
 
 TRIAL = 1e-3  # of a joint's torque: laws are linear in their coefficients, a spring's law nearly so
+# Of a law's range, at either end: what happens there alone (a stop) would make a spline over all of it swing
+PARTS = tuple(part for k in (0.5, 0.25, 0.125) for part in ((0.0, k), (1.0 - k, 1.0)))
 RIDGE = 1e-6  # of the mean curvature: coefficients that no sample shows stay finite
 POINTS = 61  # of a law's curve
 WEIGHTS = np.logspace(-3.0, 5.0, 17)  # of the penalty, of curvature: from all degrees of freedom to two
@@ -52,11 +54,12 @@ class Shape:
 @dataclass(frozen=True)
 class Choice:
     """A shape with the weight of its penalty, and the squared error that it foretells, left out block by
-    block, over that without it."""
+    block, over that without it. `centred`: a mean that is not known is none."""
 
     shape: Shape
     weight: float
     foretold: float
+    centred: bool = True
 
 
 def coefficients_of(law: Planned) -> Parameter:
@@ -77,7 +80,25 @@ def shape_of(
     span = next(p for p in law.effect.params if p.name == "span")
     if not span.low < high - low < span.high:
         return None
-    law = law.with_values({"start": float(low), "span": float(high - low)})
+    return _shape(problem, law.with_values({"start": float(low), "span": float(high - low)}), base)
+
+
+def part_of(
+    problem: Problem, shape: Shape, part: tuple[float, float], base: Sequence[Planned]
+) -> Shape | None:
+    """The same over a part of its range, beyond which it is constant; None where that is no range."""
+    law = shape.law
+    start, span = (float(law.values[name]) for name in ("start", "span"))
+    low, high = part
+    if span * (high - low) <= next(p for p in law.effect.params if p.name == "span").low:
+        return None
+    law = law.with_values({"start": start + low * span, "span": (high - low) * span})
+    return _shape(problem, law, base)
+
+
+def _shape(problem: Problem, law: Planned, base: Sequence[Planned]) -> Shape:
+    assert law.joint is not None
+    joint = problem.robot.joint(law.joint)
     size = coefficients_of(law)
     trial = TRIAL * float(problem.torque_scale[problem.robot.joint_names.index(joint.name)])
     if size.unit == "rad":
@@ -87,6 +108,7 @@ def shape_of(
         unit = tuple(trial if i == k else 0.0 for i in range(size.size))
         moved = problem.denoised_moved_band(base, [*base, law.with_values({size.name: unit})])
         columns.append(problem.whitening.white(moved).ravel() / trial)
+    signal = np.asarray(getattr(problem.signals(joint.name), law.values["signal"]))
     return Shape(law, np.array(columns), np.mean(basis(law, signal), axis=0))
 
 
@@ -175,7 +197,7 @@ def fitted(problem: Problem, choice: Choice, y: np.ndarray) -> Fitted:
 
     The covariance is that of the posterior (Wahba 1983; Wood 2006), widened where scores of blocks of time
     say that what is left is not white (`fit.covariance` does the same). A mean that is not known, since
-    unknown zeros of sensors and torques may stand for it, is no part of the law: its mean is then zero."""
+    unknown zeros of sensors and torques may stand for it, is no part of a centred law, whose mean is zero."""
     shape, limits = choice.shape, problem.settings.learn
     normal, slope = problem.normal(shape.columns, y)
     penalised = penalty(len(normal)) * choice.weight * np.trace(normal) / np.trace(penalty(len(normal)))
@@ -192,7 +214,8 @@ def fitted(problem: Problem, choice: Choice, y: np.ndarray) -> Fitted:
     robust = bread @ scores @ scores.T @ bread * count / max(1.0, count - freedom)
     wider = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(bread), 1e-300)))
     covariance = bread * np.outer(wider, wider)
-    if abs(shape.mean @ c) < limits.sure * np.sqrt(shape.mean @ covariance @ shape.mean):
+    unknown = abs(shape.mean @ c) < limits.sure * np.sqrt(shape.mean @ covariance @ shape.mean)
+    if choice.centred and unknown:
         about = np.eye(len(c)) - np.outer(np.ones(len(c)), shape.mean)  # equal coefficients: a constant
         c, covariance = about @ c, about @ covariance @ about.T
     return Fitted(shape.at(c, np.sqrt(np.diag(covariance)).tolist()), covariance, freedom)
