@@ -203,7 +203,9 @@ class _Task:
             return None
         nearer = [part_of(self.problem, best.shape, part, base) for part in PARTS]
         choices = [chosen(seen, shape, y, folds) for shape in nearer if shape is not None]
-        best = min([best, *choices], key=lambda choice: choice.foretold)
+        near = min(choices, key=lambda choice: choice.foretold, default=best)
+        if near.foretold <= self.problem.settings.learn.part * best.foretold:
+            best = near
         if best.foretold >= 1.0:
             return None
         centred, other = (self._tried(base, replace(best, centred=c), y) for c in (True, False))
