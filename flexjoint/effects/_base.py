@@ -117,6 +117,7 @@ class Effect:
     known_as: ClassVar[tuple[str, ...]] = ()  # effects as which it is named where they fit as well
     on_rigid: ClassVar[str] = ""  # the effect of the motor that it is one with where there is no spring
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness
+    is_cause: ClassVar[bool] = True  # whether a diagnosis may name it; a learned law has no name
 
     # --- what an effect can do -------------------------------------------------------------------
     def map(self, s: Signals, p: Any, x: Value) -> Value:
