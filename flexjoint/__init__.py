@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.diagnosis.followup.checking.check import check
     from flexjoint.diagnosis.followup.checking.values import Check
     from flexjoint.diagnosis.followup.experiment import Plan, plan
+    from flexjoint.diagnosis.followup.learning.learn import learn
     from flexjoint.diagnosis.pipeline import diagnose
     from flexjoint.diagnosis.result import Diagnosis
     from flexjoint.effects import Effect, catalogue, effect
@@ -79,6 +80,7 @@ __all__ = [
     "equilibrium",
     "export_robot",
     "import_log",
+    "learn",
     "linearise",
     "load_robot",
     "longest_period",
@@ -132,6 +134,7 @@ _PLACES = {  # name: module and what it is called there
     "equilibrium": ("model.statics.equilibrium", "equilibrium"),
     "export_robot": ("export.targets", "export_robot"),
     "import_log": ("recording.importing", "import_log"),
+    "learn": ("diagnosis.followup.learning.learn", "learn"),
     "linearise": ("design.linearise", "linearise"),
     "load_robot": ("robot.robot", "load"),
     "longest_period": ("design.stability_limits", "longest_period"),

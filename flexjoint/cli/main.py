@@ -169,6 +169,11 @@ def _add_diagnose(commands: Any) -> None:
         action="store_true",
         help="put causes below 50 %% probability into the extended robot, too",
     )
+    diagnose.add_argument(
+        "--learn",
+        action="store_true",
+        help="learn smooth laws of what no cause explains, into the extended robot, too",
+    )
     diagnose.add_argument("--quiet", action="store_true", help="print nothing")
     diagnose.add_argument(
         "--no-refine", action="store_true", help="leave the numbers as the torque balances give them"

@@ -83,8 +83,12 @@ def check_place(path: Path, suffixes: Sequence[str], inputs: Sequence[Path] = ()
 def page(diagnosis: Diagnosis, nominal: Robot, extended: Robot, recording: Recording) -> str:
     """The report, with both models' simulation of the recording where it can be simulated."""
     before = _simulated(nominal, recording)
-    after = _simulated(extended, recording) if diagnosis.findings else None
+    after = _simulated(extended, recording) if diagnosis.findings or _laws(diagnosis) else None
     return report.render(diagnosis, nominal, recording, before, after)
+
+
+def _laws(diagnosis: Diagnosis) -> bool:
+    return diagnosis.learned is not None and bool(diagnosis.learned.laws)
 
 
 def _simulated(loaded: Robot, recording: Recording) -> Comparison | None:

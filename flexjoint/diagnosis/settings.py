@@ -957,6 +957,71 @@ class CheckSettings(Stage):
 
 
 @dataclass(frozen=True)
+class LearnSettings(Stage):
+    """Learn: smooth laws of what no cause explains."""
+
+    outside: float = number(
+        0.005,
+        "share of the samples",
+        "beyond either end of a law's range, where it is constant: few samples are no law",
+        "judgement",
+    )
+    folds: int = number(
+        8, "blocks of time", "left out in turn at most, to choose signal and smoothness", "judgement"
+    )
+    share: float = number(
+        0.2,
+        "share of the squared error above noise",
+        "that a law must remove on data that its fit did not see",
+        "judgement",
+    )
+    sure: float = number(
+        3.0,
+        "standard errors",
+        "by which that must differ from nothing, over pieces of time, and the law itself from none",
+        "theory: three standard deviations",
+    )
+    least_blocks: int = number(
+        4, "blocks of time", "that are fitted, and as many that are not, at least", "judgement"
+    )
+    shortest_block: float = number(
+        0.5,
+        "s",
+        "of such a block, which is as long as one of a cause's where the recording allows: a window of the"
+        " simulation",
+        "judgement",
+    )
+    size: float = number(
+        1.0, "torque tolerances", "that a law must remove (RMS)", "theory: what a tolerance means"
+    )
+    most: int = number(2, "laws", "of one joint at most", "judgement")
+    worse: float = number(
+        1.01,
+        "times the simulated error",
+        "on unseen data, of the joint or of the robot, from which a law is dropped",
+        "judgement",
+    )
+    part: float = number(
+        0.5,
+        "times the error foretold",
+        "by a law over its whole range, from which it is taken over a part of it",
+        "study: of struck end stops it falls to a third or less; of an unknown machine by 2 %, which another"
+        " motion then paid with 20 %",
+    )
+    worse_place: float = number(
+        1.25,
+        "times the torque error",
+        "with a law, at any tenth of its signal on unseen data, from which it is dropped",
+        "study: a struck end stop, by whose spline another motion was 14 times worse; theory: RMS of some"
+        " hundred samples scatter by a tenth",
+    )
+    alike: float = number(
+        0.9, "correlation", "from which a law of the catalogue is one that it resembles", "judgement"
+    )
+    unlike: float = number(0.7, "correlation", "below which it is one that it does not resemble", "judgement")
+
+
+@dataclass(frozen=True)
 class Settings:
     """All numbers that decide in a diagnosis, stage by stage."""
 
@@ -970,6 +1035,7 @@ class Settings:
     verdict: VerdictSettings = VerdictSettings()
     agreement: AgreementSettings = AgreementSettings()
     check: CheckSettings = CheckSettings()
+    learn: LearnSettings = LearnSettings()
 
     def stages(self) -> Iterator[tuple[str, Stage]]:
         """Every stage with its name, in the order in which they run."""

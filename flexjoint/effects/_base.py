@@ -118,6 +118,7 @@ class Effect:
     on_rigid: ClassVar[str] = ""  # the effect of the motor that it is one with where there is no spring
     ordinary: ClassVar[bool] = False  # every machine has it: looked for first on a joint that leaves much
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness
+    is_cause: ClassVar[bool] = True  # whether a diagnosis may name it; a learned law has no name
 
     # --- what an effect can do -------------------------------------------------------------------
     def map(self, s: Signals, p: Any, x: Value) -> Value:

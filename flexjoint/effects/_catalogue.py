@@ -89,7 +89,7 @@ def signal_order(effects: Iterable[Planned]) -> tuple[Planned, ...]:
     sites = list(Site)
 
     def place(e: Planned) -> tuple[object, ...]:
-        play = e.effect.site is Site.DEFLECTION and e.effect.overrides("slope")
+        play = e.effect.site is Site.DEFLECTION and e.effect.overrides("slope") and e.effect.is_cause
         same = repr(e.identity)  # one effect on two channels, or on two joints
         return sites.index(e.effect.site), not e.effect.overrides("delay"), play, e.effect.name, same
 

@@ -17,7 +17,8 @@ def _all(names: str, why: str) -> dict[str, Way]:
 
 
 SPRINGS: Mapping[str, Way] = _all(
-    "backlash hardening_spring spring_creep spring_damping spring_hysteresis spring_preload spring_stiffness"
+    "backlash hardening_spring learned_deflection learned_link_torque spring_creep spring_damping"
+    " spring_hysteresis spring_preload spring_stiffness"
     " transmission_error",
     "joints are rigid there",
 )
@@ -38,7 +39,7 @@ FRICTION: Mapping[str, Way] = _all(
     "no such friction there",
 )
 FORCES: Mapping[str, Way] = _all(
-    "cable_spring end_stop periodic_disturbance quadratic_drag", "no such force there"
+    "cable_spring end_stop learned_torque periodic_disturbance quadratic_drag", "no such force there"
 )
 BODIES: Mapping[str, Way] = _all("base_tilt motor_inertia payload", "bodies and gravity are not in that file")
 

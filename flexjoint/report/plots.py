@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flexjoint.diagnosis.result import Repeated
+from flexjoint.diagnosis.result import LearnedLaw, Repeated
 from flexjoint.diagnosis.result.wording import unit_of
 from flexjoint.report import series
 
@@ -206,6 +206,18 @@ def by_recording(number: Repeated, alt: str) -> Image:
             )
         axes.set_xlim(0.5, values.size + 0.5)
         axes.set_xticks(place[:: -(-values.size // MOST_TICKS)])
+        return _image(figure, alt)
+
+
+def law(learned: LearnedLaw, name: str, alt: str) -> Image:
+    """A learned law over its signal, with two standard errors as a band."""
+    with _styled():
+        figure, axes = _axes(f"{name} [{learned.signal_unit}]", f"[{learned.unit}]")
+        x, value, std = (np.array(v) for v in (learned.at, learned.value, learned.std))
+        axes.axhline(0.0, color=RULE, linewidth=0.8)
+        axes.fill_between(x, value - 2.0 * std, value + 2.0 * std, color="#e4e7eb", linewidth=0)
+        axes.plot(x, value, color=AFTER, linewidth=1.6)
+        axes.set_xlim(float(x[0]), float(x[-1]))
         return _image(figure, alt)
 
 

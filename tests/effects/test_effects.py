@@ -106,6 +106,11 @@ def symbolic(effect: Effect) -> ca.Function:
     return ca.Function("f", [v], [out, ca.jacobian(out, v)])
 
 
+def _ends(i: Inputs, x: float, size: float = 1.0) -> tuple[float, ...]:
+    """Distances of a signal (in its size) from the ends of a learned law."""
+    return x - i.p.start / size, x - (i.p.start + i.p.span) / size
+
+
 # Where a law is not differentiable: its distances from there, in typical sizes. Derivatives are not compared
 # within NEAR of them.
 NEAR = 1e-3
@@ -116,6 +121,9 @@ KINKS: dict[str, Callable[[Inputs], tuple[float, ...]]] = {
     "dahl_friction": lambda i: (i.s.dtheta / 2,),
     "drive_efficiency": lambda i: (i.s.dtheta / 2, i.s.tau_t / 20),
     "end_stop": lambda i: (i.s.q - i.p.position, i.p.position),
+    "learned_deflection": lambda i: _ends(i, i.s.theta),
+    "learned_link_torque": lambda i: _ends(i, i.s.q),
+    "learned_torque": lambda i: _ends(i, i.s.dtheta / 2, 2),
     "load_friction": lambda i: (i.s.tau_t / 20,),
     "quadratic_drag": lambda i: (i.s.dq / 2,),
     "spring_hysteresis": lambda i: (i.s.dphi / 0.5,),
@@ -221,7 +229,7 @@ def test_absent_at_null(effect: Effect) -> None:
     z = effect.states[0] if effect.states else 0.0
     for _ in range(40):
         i = inputs(effect, sample(effect, rng))
-        i.p = i.p._replace(**{p.name: p.null for p in effect.nulls})
+        i.p = i.p._replace(**{p.name: p.null if p.size == 1 else (p.null,) * p.size for p in effect.nulls})
         if effect.overrides("steady_state"):  # an absent effect's state follows its signals at once
             z = effect.steady_state(i.s, i.p)
         assert effect.map(i.s, i.p, i.x) == i.x

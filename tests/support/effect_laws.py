@@ -7,6 +7,7 @@ from types import SimpleNamespace as Inputs
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 
@@ -34,6 +35,16 @@ def _dahl(speed: float, z: float, p: Any) -> float:
     return speed * p.level / p.scale * (1 - z / p.level * np.sign(speed))
 
 
+def _learned(x: float, p: Any, coefficients: Any) -> float:
+    """A spline of twelve uniform cubic B-splines, by SciPy; beyond its range it keeps its value."""
+    step = p.span / 9
+    knots = p.start + step * np.arange(-3, 13)
+    return float(BSpline(knots, np.array(coefficients), 3)(np.clip(x, p.start, p.start + p.span)))
+
+
+SHAPE = "start of the signal, span of the signal"
+
+
 def _beyond(q: float, stop: float) -> float:
     return q - stop if (stop >= 0 and q > stop) or (stop < 0 and q < stop) else 0.0
 
@@ -52,6 +63,18 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
     "motor_viscous_friction": (
         "coefficient N m s/rad",
         {"edit_drive": lambda i: _drive(i, more=i.p.coefficient)},
+    ),
+    "learned_torque": (
+        f"torques N m, {SHAPE}",
+        {"torque": lambda i: _learned(i.s.dtheta, i.p, i.p.torques)},
+    ),
+    "learned_link_torque": (
+        f"torques N m, {SHAPE}",
+        {"torque": lambda i: _learned(i.s.q, i.p, i.p.torques)},
+    ),
+    "learned_deflection": (
+        f"angles rad, {SHAPE}",
+        {"map": lambda i: i.x + _learned(i.s.theta, i.p, i.p.angles), "slope": lambda i: 1.0},
     ),
     "motor_coulomb_friction": ("level N m", {"level": lambda i: i.p.level}),
     "asymmetric_friction": (

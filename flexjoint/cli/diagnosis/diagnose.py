@@ -11,11 +11,13 @@ from rich.console import Console
 
 from flexjoint.cli.options import budget_from, load_chosen, mapping_of
 from flexjoint.cli.outputs import Asked, page
+from flexjoint.core.errors import FlexJointError
 from flexjoint.core.messages import escaped
 from flexjoint.core.running.progress import silent
 from flexjoint.core.running.worker_pool import workers_of
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.followup.agreement.agreement import agreement
+from flexjoint.diagnosis.followup.learning.learn import learn
 from flexjoint.diagnosis.result import LEAST, Diagnosis, to_json
 from flexjoint.diagnosis.result.wording import cause, listed, percent
 from flexjoint.diagnosis.signals.excerpt import excerpts, expected_seconds, most_samples
@@ -31,6 +33,10 @@ from flexjoint.robot.robot import Robot
 def run(arguments: argparse.Namespace) -> None:
     """The command. Raises FlexJointError on unusable input, before the long work."""
     budget = budget_from(arguments)
+    if arguments.learn and arguments.all_causes:
+        raise FlexJointError(
+            "--learn and --all-causes: laws are learned beside the likely causes; give one of the two"
+        )
     asked = Asked(arguments.json, arguments.report, arguments.model)
     mapped = [arguments.mapping] if arguments.mapping is not None else []
     asked.check([Path(arguments.robot), *arguments.recordings, *mapped])
@@ -43,6 +49,7 @@ def run(arguments: argparse.Namespace) -> None:
     payloads = parse(arguments.payload, [str(path) for path in paths])
     shown_on_page = examined(nominal, recordings, budget.seconds) if asked.report is not None else None
     several = list(recordings) if len(recordings) > 1 else []
+    kept = recordings[0] if arguments.learn else None
     with Progress() as bar:
         if not arguments.quiet:
             bar.expect(min(budget.left, expected_seconds(nominal, recordings, workers_of(None))))
@@ -59,6 +66,10 @@ def run(arguments: argparse.Namespace) -> None:
             if not arguments.quiet:
                 bar(1.0, "comparing the recordings with each other")
             diagnosis = agreement(nominal, several, diagnosis, payloads=payloads)
+        if kept is not None:
+            report = silent if arguments.quiet else bar
+            load = payloads[0] if payloads else None
+            diagnosis = learn(nominal, kept, diagnosis, payload=load, budget=budget, progress=report)
     html = None
     if shown_on_page is not None:  # its numbers are those of all causes that it names
         html = page(diagnosis, nominal, diagnosis.extend(nominal, least=0.0), shown_on_page)

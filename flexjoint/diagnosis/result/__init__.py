@@ -19,7 +19,10 @@ from flexjoint.diagnosis.result.values import (
     Finding,
     Fitted,
     Gain,
+    Learned,
+    LearnedLaw,
     LeftOut,
+    Likeness,
     Ranked,
     Remaining,
     Removed,
@@ -57,12 +60,16 @@ class Diagnosis(Result):
         return tuple(finding for finding in self.findings if finding.probability >= least)
 
     def extend(self, robot: Robot, least: float = LEAST) -> Robot:
-        """The robot with the causes in its model that are at least as probable as `least`; 0 takes all.
+        """The robot with the causes in its model that are at least as probable as `least`; 0 takes all. Laws
+        that were learned (`flexjoint.learn`) come in where the causes are those beside which they were: the
+        likely ones. Beside others they would explain the same error twice.
 
         Raises RobotError of what is no robot, UnknownNameError of a robot without a cause's joint.
         """
         robot = expect(robot, "extend")
         effects = [e for finding in self.likely(least) for e in (finding.members or (finding.planned,))]
+        if self.learned is not None and self.likely(least) == self.likely(LEAST):
+            effects += [law.planned for law in self.learned.laws]
         for item in effects:
             if item.joint is not None and item.joint not in robot.joint_names:
                 raise unknown("joint", item.joint, robot.joint_names)
@@ -86,7 +93,10 @@ __all__ = [
     "Finding",
     "Fitted",
     "Gain",
+    "Learned",
+    "LearnedLaw",
     "LeftOut",
+    "Likeness",
     "Ranked",
     "Remaining",
     "Removed",

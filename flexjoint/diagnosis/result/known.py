@@ -78,7 +78,11 @@ def _of_robot(nominal: Robot, extended: Robot) -> Known:
             f" {', '.join(nominal.joint_names)}: give two files of one robot"
         )
     same = {e.identity for e in nominal.effects}
-    causes = tuple(replace(e, nominal=False) for e in extended.effects if e.identity not in same)
+    laws = [e for e in extended.effects if not e.effect.is_cause]
+    causes = tuple(
+        replace(e, nominal=False) for e in extended.effects if e.identity not in same and e.effect.is_cause
+    )
+    nominal = nominal.extended(laws)  # a learned law has no number of its own to check
     return Known(nominal, causes, frozenset(e.key for e in causes), {}, extended.name)
 
 

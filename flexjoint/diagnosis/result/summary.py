@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 
 from flexjoint.core.text import EMPTY, Block, Line, Style, Table
-from flexjoint.diagnosis.result import agreement, merit, sentences, torque
+from flexjoint.diagnosis.result import agreement, learned, merit, sentences, torque
 from flexjoint.diagnosis.result.values import Finding, Result
 from flexjoint.diagnosis.result.wording import (
     NOTHING,
@@ -54,6 +54,8 @@ def _blocks(result: Result) -> Iterator[Block]:
     yield from _errors(result)
     if result.agreement is not None:
         yield from agreement.blocks(result.agreement)
+    if result.learned is not None:
+        yield from learned.blocks(result.learned, joints)
     yield from _open_ends(result)
 
 

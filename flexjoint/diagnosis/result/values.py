@@ -272,6 +272,51 @@ class Agreement:
 
 
 @dataclass(frozen=True)
+class Likeness:
+    """How much of a learned law an effect of the catalogue would explain: the correlation of what both do in
+    the recording's torque balances, in [0, 1]."""
+
+    effect: str
+    correlation: float
+
+
+@dataclass(frozen=True)
+class LearnedLaw:
+    """A smooth law of one signal through what no cause explains; it is no cause. `planned` is the effect as
+    the extended model holds it, with the standard errors of its coefficients.
+
+    The curve is `value` (M,) with standard errors `std` (M,) in `unit` at `at` (M,) of the signal in
+    `signal_unit`. `removed` is what it removes on data that its fit did not see, `share` the same as a share
+    of the squared error above the noise in the joint's whitened balances."""
+
+    effect: str
+    joint: str
+    signal: str
+    planned: Planned
+    at: tuple[float, ...]
+    signal_unit: str
+    value: tuple[float, ...]
+    std: tuple[float, ...]
+    unit: str
+    freedom: float  # effective degrees of freedom
+    removed: Removed
+    share: float
+    alike: tuple[Likeness, ...]  # the closest first
+    advice: str  # what to look at; a sentence without its end
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What was learned beyond the causes. `simulation` compares, on data that no law's fit saw, the model
+    with the likely causes (before) and with the laws, too (after); None without laws, or where the recording
+    cannot drive a simulation."""
+
+    laws: tuple[LearnedLaw, ...] = ()
+    simulation: Gain | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Result:
     """The values of a `Diagnosis`, which adds what one does with them."""
 
@@ -296,6 +341,7 @@ class Result:
     rigid: bool = False  # whether no joint has a spring
     data: tuple[DataFinding, ...] = ()  # errors of the data, which come before any cause
     agreement: Agreement | None = None  # of several recordings
+    learned: Learned | None = None  # None where no law was asked for
 
 
 def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
@@ -319,6 +365,7 @@ def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
         ],
         "comparison": None if comparison is None else _gain(comparison),
         "recordings": None if diagnosis.agreement is None else _agreement(diagnosis.agreement),
+        "learned": None if diagnosis.learned is None else _learned(diagnosis.learned),
         "next_experiment": diagnosis.next_experiment,
         "model": model,
         "notes": list(diagnosis.notes),
@@ -346,6 +393,37 @@ def _agreement(agreement: Agreement) -> dict[str, Any]:
             {"recording": one.recording, "comparison": None if one.gain is None else _gain(one.gain)}
             for one in agreement.left_out
         ],
+    }
+
+
+def _learned(learned: Learned) -> dict[str, Any]:
+    return {
+        "laws": [
+            {
+                "effect": law.effect,
+                "joint": law.joint,
+                "signal": law.signal,
+                "parameters": {
+                    name: _plain(value) if isinstance(value, tuple | float) else value
+                    for name, value in law.planned.values.items()
+                },
+                "curve": {
+                    "at": list(law.at),
+                    "signal_unit": law.signal_unit,
+                    "value": list(law.value),
+                    "std": list(law.std),
+                    "unit": law.unit,
+                },
+                "freedom": law.freedom,
+                "removed": asdict(law.removed),
+                "share": law.share,
+                "alike": [asdict(one) for one in law.alike],
+                "advice": law.advice,
+            }
+            for law in learned.laws
+        ],
+        "simulation": None if learned.simulation is None else _gain(learned.simulation),
+        "notes": list(learned.notes),
     }
 
 

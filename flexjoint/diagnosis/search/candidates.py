@@ -87,7 +87,7 @@ def enumerate_candidates(problem: Problem, excluded: frozenset[str] = frozenset(
     """All candidates that the sensors of this recording could show; `excluded` effects are left out."""
     out = []
     for effect in catalogue().values():
-        if effect.name in excluded:
+        if effect.name in excluded or not effect.is_cause:
             continue
         choices = [[(w.name, c) for c in w.choices] for w in effect.words]
         joints: Sequence[str | None] = [None] if effect.whole_robot else problem.robot.joint_names

@@ -1,0 +1,221 @@
+"""The penalised fit of a smooth law to what causes leave.
+
+It is fitted to the whitened balances, and not to torques as they are recorded: there the noise is white, so
+that least squares are right and standard errors mean something; what nominal numbers may explain within their
+tolerances is taken out, so that a law does not repeat it; and the law passes the same filter and the same
+rest of dry friction as any effect. Columns come from the effect's own law along the recording without its
+sensors' noise (noise in a regressor would flatten the law).
+
+Coefficients have a penalty on their second differences (P-splines, Eilers and Marx 1996): its weight decides
+how many degrees of freedom are used, from a line to all. Generalised cross-validation and restricted
+likelihood take errors for independent; what machines leave is not, and both would follow it. So blocks of
+time are left out instead, and the weight is taken that foretells them best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.search.candidates import Candidate
+from flexjoint.diagnosis.settings import LearnSettings
+from flexjoint.effects import Parameter, Planned, Signals, Site
+
+TRIAL = 1e-3  # of a joint's torque: laws are linear in their coefficients, a spring's law nearly so
+# Of a law's range, at either end: what happens there alone (a stop) would make a spline over all of it swing
+PARTS = tuple(part for k in (0.5, 0.25, 0.125) for part in ((0.0, k), (1.0 - k, 1.0)))
+RIDGE = 1e-6  # of the mean curvature: coefficients that no sample shows stay finite
+POINTS = 61  # of a law's curve
+WEIGHTS = np.logspace(-3.0, 5.0, 17)  # of the penalty, of curvature: from all degrees of freedom to two
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A law to be fitted: an effect on a joint with its signal and the signal's range, and its whitened
+    columns (coefficients, samples), one unit of each coefficient. `mean` (coefficients,) gives the law's mean
+    over the recording."""
+
+    law: Planned
+    columns: np.ndarray
+    mean: np.ndarray
+
+    def at(self, coefficients: np.ndarray, std: Sequence[float] = ()) -> Planned:
+        """The law with these coefficients, inside their bounds."""
+        size = coefficients_of(self.law)
+        values = tuple(float(np.clip(c, size.low, size.high)) for c in coefficients)
+        errors = {size.name: tuple(float(s) for s in std)} if len(std) else {}
+        return replace(self.law.with_values({size.name: values}), std=errors)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A shape with the weight of its penalty, and the squared error that it foretells, left out block by
+    block, over that without it. `centred`: a mean that is not known is none."""
+
+    shape: Shape
+    weight: float
+    foretold: float
+    centred: bool = True
+
+
+def coefficients_of(law: Planned) -> Parameter:
+    """The parameter of a law that holds its coefficients."""
+    (size,) = law.effect.nulls
+    return size
+
+
+def shape_of(
+    problem: Problem, candidate: Candidate, base: Sequence[Planned], limits: LearnSettings
+) -> Shape | None:
+    """The law over the range that its signal has in the recording; None where that does not move."""
+    assert candidate.joint is not None
+    joint = problem.robot.joint(candidate.joint)
+    signal = np.asarray(getattr(problem.signals(joint.name), dict(candidate.words)["signal"] or ""))
+    low, high = np.quantile(signal, (limits.outside, 1.0 - limits.outside))
+    law = candidate.planned({})
+    span = next(p for p in law.effect.params if p.name == "span")
+    if not span.low < high - low < span.high:
+        return None
+    return _shape(problem, law.with_values({"start": float(low), "span": float(high - low)}), base)
+
+
+def part_of(
+    problem: Problem, shape: Shape, part: tuple[float, float], base: Sequence[Planned]
+) -> Shape | None:
+    """The same over a part of its range, beyond which it is constant; None where that is no range."""
+    law = shape.law
+    start, span = (float(law.values[name]) for name in ("start", "span"))
+    low, high = part
+    if span * (high - low) <= next(p for p in law.effect.params if p.name == "span").low:
+        return None
+    law = law.with_values({"start": start + low * span, "span": (high - low) * span})
+    return _shape(problem, law, base)
+
+
+def _shape(problem: Problem, law: Planned, base: Sequence[Planned]) -> Shape:
+    assert law.joint is not None
+    joint = problem.robot.joint(law.joint)
+    size = coefficients_of(law)
+    trial = TRIAL * float(problem.torque_scale[problem.robot.joint_names.index(joint.name)])
+    if size.unit == "rad":
+        trial = trial / joint.drive.K
+    columns = []
+    for k in range(size.size):
+        unit = tuple(trial if i == k else 0.0 for i in range(size.size))
+        moved = problem.denoised_moved_band(base, [*base, law.with_values({size.name: unit})])
+        columns.append(problem.whitening.white(moved).ravel() / trial)
+    signal = np.asarray(getattr(problem.signals(joint.name), law.values["signal"]))
+    return Shape(law, np.array(columns), np.mean(basis(law, signal), axis=0))
+
+
+def basis(law: Planned, at: np.ndarray) -> np.ndarray:
+    """(N, k) what a unit of each coefficient makes of the signal's values (N,), by the law itself."""
+    size = coefficients_of(law)
+    signals = Signals(**{law.values["signal"]: at})
+    columns = []
+    for k in range(size.size):
+        p = law.with_values({size.name: tuple(float(i == k) for i in range(size.size))}).p
+        if law.effect.site is Site.DEFLECTION:
+            columns.append(law.effect.map(signals, p, signals.phi) - signals.phi)
+        else:
+            columns.append(law.effect.torque(signals, p, 0.0))
+    return np.stack([column * np.ones_like(at) for column in columns], axis=1)
+
+
+def penalty(count: int) -> np.ndarray:
+    """(count, count) squared second differences of coefficients."""
+    second = np.diff(np.eye(count), 2, axis=0)
+    return np.asarray(second.T @ second)
+
+
+def chosen(problem: Problem, shape: Shape, y: np.ndarray, folds: np.ndarray) -> Choice:
+    """The weight with which a shape, fitted to the residual y of all other blocks of time, foretells those
+    left out best. `folds` (N,) numbers the block of each sample of time; what the problem does not use
+    counts nowhere."""
+    columns = problem.project(shape.columns) * problem.weights
+    rest = problem.rest(y) * problem.weights
+    every = np.tile(folds, len(problem.balances.rows))
+    used = problem.squares > 0.0
+    parts = [used & (every == fold) for fold in np.unique(folds[problem.used > 0.0])]
+    normals = np.array([columns[:, part] @ columns[:, part].T for part in parts])
+    slopes = np.array([columns[:, part] @ rest[part] for part in parts])
+    nothing = float(rest @ rest)
+    whole, slope = np.sum(normals, axis=0), np.sum(slopes, axis=0)
+    scaled = penalty(len(columns)) * np.trace(whole) / np.trace(penalty(len(columns)))
+    best, least = float(WEIGHTS[-1]), np.inf
+    for weight in WEIGHTS:
+        error = nothing
+        for own, pull in zip(normals, slopes, strict=True):
+            c = _solved(whole - own, slope - pull, weight * scaled)
+            error += float(2.0 * c @ pull + c @ own @ c)
+        if error < least:
+            best, least = float(weight), error
+    return Choice(shape, best, least / max(nothing, 1e-300))
+
+
+def _solved(normal: np.ndarray, slope: np.ndarray, penalised: np.ndarray) -> np.ndarray:
+    return -np.asarray(cho_solve(_factor(normal, penalised), slope))
+
+
+def _factor(normal: np.ndarray, penalised: np.ndarray) -> tuple[np.ndarray, bool]:
+    ridge = RIDGE * np.trace(normal) / len(normal) + np.finfo(float).tiny
+    factor: tuple[np.ndarray, bool] = cho_factor(normal + penalised + ridge * np.eye(len(normal)))
+    return factor
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted law, with the covariance (k, k) of its coefficients, the smoothing's own error included, and
+    the degrees of freedom that the penalty leaves."""
+
+    law: Planned
+    covariance: np.ndarray
+    freedom: float
+
+    def curve(self, points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(points,) of the signal over the law's range, of the law, and of its standard errors."""
+        start, span = (float(self.law.values[name]) for name in ("start", "span"))
+        at = np.linspace(start, start + span, points)
+        columns = basis(self.law, at)
+        value = columns @ np.array(self.law.values[coefficients_of(self.law).name])
+        variance = np.einsum("ij,jk,ik->i", columns, self.covariance, columns)
+        return at, value, np.sqrt(np.maximum(variance, 0.0))
+
+    @property
+    def certainty(self) -> float:
+        """Distance of the law from none, in its standard errors where it is furthest."""
+        _, value, std = self.curve(POINTS)
+        return float(np.max(np.abs(value) / np.maximum(std, 1e-300)))
+
+
+def fitted(problem: Problem, choice: Choice, y: np.ndarray) -> Fitted:
+    """The coefficients from the samples that a problem uses.
+
+    The covariance is that of the posterior (Wahba 1983; Wood 2006), widened where scores of blocks of time
+    say that what is left is not white (`fit.covariance` does the same). A mean that is not known, since
+    unknown zeros of sensors and torques may stand for it, is no part of a centred law, whose mean is zero."""
+    shape, limits = choice.shape, problem.settings.learn
+    normal, slope = problem.normal(shape.columns, y)
+    penalised = penalty(len(normal)) * choice.weight * np.trace(normal) / np.trace(penalty(len(normal)))
+    factor = _factor(normal, penalised)
+    c = -cho_solve(factor, slope)
+    bread = cho_solve(factor, np.eye(len(c)))
+    freedom = float(np.trace(bread @ normal))
+    blocks = ((problem.time - problem.time[0]) / problem.settings.regression.time_block).astype(int)
+    blocks = np.tile(blocks, len(problem.balances.rows))
+    residual = problem.rest(y + c @ shape.columns) * problem.weights
+    projected = problem.project(shape.columns) * problem.weights
+    count = int(blocks.max()) + 1
+    scores = np.stack([np.bincount(blocks, row * residual, count) for row in projected])
+    robust = bread @ scores @ scores.T @ bread * count / max(1.0, count - freedom)
+    wider = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(bread), 1e-300)))
+    covariance = bread * np.outer(wider, wider)
+    unknown = abs(shape.mean @ c) < limits.sure * np.sqrt(shape.mean @ covariance @ shape.mean)
+    if choice.centred and unknown:
+        about = np.eye(len(c)) - np.outer(np.ones(len(c)), shape.mean)  # equal coefficients: a constant
+        c, covariance = about @ c, about @ covariance @ about.T
+    return Fitted(shape.at(c, np.sqrt(np.diag(covariance)).tolist()), covariance, freedom)
