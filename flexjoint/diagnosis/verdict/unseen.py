@@ -111,8 +111,8 @@ def _of(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
 
 
 def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL) -> dict[str, float]:
-    """RMS [N m], by joint, of the measured motor torque minus what the model needs for the measured motion, on
-    all usable samples; no number of the model is corrected but encoder offsets that are free."""
+    """RMS [N m], by joint, of the measured motor torque minus what the model needs for the measured motion,
+    on all usable samples; no number of the model is corrected but encoder offsets that are free."""
     problem = Problem(balances_of(robot, with_torques(robot, recording), settings))
     left = _nominal(fit(problem, []))
     totals = {name: _total(problem.balances, left, j) for j, name in enumerate(robot.joint_names)}
