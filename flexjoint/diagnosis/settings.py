@@ -809,10 +809,8 @@ class VerdictSettings(Stage):
     simulated_factor: float = number(
         7.0,
         "factor in a simulated error",
-        "on unseen data, without a cause of the joint and with it, at which it is as likely there as not"
-        " whatever a balance says",
-        "machine: KR300, deflections of joints 1 to 3 by 7 to 13 for the delay of their encoders, 1.2 to 3.6"
-        " for frictions; a stand-in that explains 95 % of an error gives 4.5",
+        "on unseen data, at which a cause of the joint that the simulation needs is as likely there as not",
+        "machine: KR300, deflections of joints 1 to 3 by 6 to 13; a stand-in that explains 95 % gives 4.5",
     )
     simulated_belief: float = number(
         6.0, "log odds", "more for every factor of ten beyond that, and less below", "judgement"

@@ -9,7 +9,7 @@ docs/diagnosis_study.md shows how well it holds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from flexjoint.diagnosis.regression.fit import Fit
 from flexjoint.diagnosis.result import Estimation, Finding, Gain, Remaining, Removed
 from flexjoint.diagnosis.search.criteria import torque_shares
-from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.diagnosis.settings import Settings, VerdictSettings
 from flexjoint.effects import Planned
 
 CERTAINLY_NOT = -40.0  # log odds below which a probability is 0 to rounding
@@ -89,19 +89,30 @@ def on_background(
 
 
 def by_simulation(
-    with_it: Gain, without: Gain | None, planned: Planned, settings: VerdictSettings, beside: int = 1
+    measured: Gain, without: Gain | None, planned: Planned, settings: Settings, beside: int = 1
 ) -> float:
-    """Probability that a name is right, from the factor by which it lowers the simulated error of its joint
-    on held-out data, with the other causes at work and without it: a wrong cause may make a balance smaller,
-    but rarely the error of the simulation. 0 where that is not known, and for a cause of the whole robot."""
+    """Probability that a name is right, from the factor by which the set lowers the simulated error of its
+    joint on held-out data: a wrong cause may make a balance smaller, but rarely the error of the simulation.
+    What others gain is not credited to it: without this one (`without`) the simulation must be clearly worse.
+    0 where that is not so or not known, and for a cause of the whole robot."""
     if without is None or planned.joint is None:
         return 0.0
-    before, after = without.after["nrmse"], with_it.after["nrmse"]
-    keys = [key for key in (f"{c}.{planned.joint}" for c in ("q", "theta", "phi")) if key in after]
-    factor = max((before[key] / max(after[key], 1e-300) for key in keys if key in before), default=0.0)
-    odds = settings.simulated_belief * float(np.log10(max(factor, 1e-6) / settings.simulated_factor))
-    odds -= settings.belief_crowd * max(0, beside - settings.crowd)
+    keys = [f"{c}.{planned.joint}" for c in ("q", "theta", "phi")]
+    after = measured.after["nrmse"]
+    least = settings.robust_search.lowered
+    if _lowered(without.after["nrmse"], after, keys) < least:
+        return 0.0
+    factor = _lowered(measured.before["nrmse"], after, keys)
+    limits = settings.verdict
+    odds = limits.simulated_belief * float(np.log10(max(factor, 1e-6) / limits.simulated_factor))
+    odds -= limits.belief_crowd * max(0, beside - limits.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
+
+
+def _lowered(before: Mapping[str, float], after: Mapping[str, float], keys: Sequence[str]) -> float:
+    """The largest factor by which errors are lower; 0 where none is known."""
+    known = [key for key in keys if key in before and key in after]
+    return max((before[key] / max(after[key], 1e-300) for key in known), default=0.0)
 
 
 def _decades(ratio: float) -> float:

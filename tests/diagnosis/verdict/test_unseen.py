@@ -93,12 +93,13 @@ def test_a_joint_is_finished_when_what_is_left_is_background(left: Remaining, op
 
 
 def simulated(without: float, with_it: float, joint: str | None = "elbow", beside: int = 1) -> float:
+    """Of a cause of a joint that the nominal model simulates with an error of 1.4."""
     gains = [
         Gain(True, 0.5, {"nrmse": {"phi.elbow": 1.4}}, {"nrmse": {"phi.elbow": left}}, {})
         for left in (with_it, without)
     ]
     named = effect("backlash", joint, gap=1e-3) if joint else effect("base_tilt", roll=0.01)
-    return by_simulation(*gains, named, LIMITS, beside)
+    return by_simulation(*gains, named, USUAL, beside)
 
 
 def test_a_cause_with_which_its_joint_is_simulated_far_better_is_believed() -> None:
@@ -108,13 +109,14 @@ def test_a_cause_with_which_its_joint_is_simulated_far_better_is_believed() -> N
 
 
 def test_a_cause_beside_which_others_gain_all_is_not_believed_for_their_gain() -> None:
-    """Nominal 1.4, and 0.14 with all causes: without this one the simulation is as good."""
-    assert simulated(0.14, 0.14) < 0.05
-    unknown = by_simulation(Gain(True, 0.5, {}, {"nrmse": {}}, {}), None, effect("backlash", "elbow"), LIMITS)
-    assert unknown == 0.0
+    """Without this one the simulation is about as good; or it is clearly worse, and each has its part."""
+    assert simulated(0.15, 0.14) == 0.0
+    assert simulated(0.4, 0.14) > 0.5
+    alone = Gain(True, 0.5, {"nrmse": {}}, {"nrmse": {}}, {})
+    assert by_simulation(alone, None, effect("backlash", "elbow", gap=1e-3), USUAL) == 0.0
 
 
 def test_a_simulation_says_nothing_of_another_joint_and_less_of_a_third_cause() -> None:
-    assert simulated(1.4, 0.14, "wrist") < 1e-6
+    assert simulated(1.4, 0.14, "wrist") == 0.0
     assert simulated(1.4, 0.14, None) == 0.0
     assert simulated(1.4, 0.14, beside=3) < 0.5 < simulated(1.4, 0.14, beside=2)
