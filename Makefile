@@ -16,7 +16,7 @@ help:
 	@echo "make fuzz   hostile input to every reader and the main commands; an hour, EXAMPLES=300 for some minutes"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style, types and who imports whom"
-	@echo "make docs   regenerate docs/effects.md, docs/settings.md, docs/limits.md and the tables in docs/architecture.md, docs/exporting.md"
+	@echo "make docs   regenerate effects.md, settings.md, limits.md in docs/reference and the tables of exporting.md and architecture.md"
 	@echo "make site   the documentation as a site in build/site/html, with the demo's report; some minutes the first time"
 	@echo "make pictures   run all notebooks and draw their stored pictures anew; needs Chromium"
 	@echo "make bench  speed and error of a step against Pinocchio and MuJoCo"
@@ -44,7 +44,7 @@ STUDY ?= study-results
 SHARD ?= 1/1
 study: .venv/.test
 	PYTHONPATH=tests:. $(BIN)/python -m study run --out $(STUDY) --shard $(SHARD)
-	PYTHONPATH=tests:. $(BIN)/python -m study table --out $(STUDY) --page docs/diagnosis_study.md
+	PYTHONPATH=tests:. $(BIN)/python -m study table --out $(STUDY) --page docs/studies/diagnosis_study.md
 
 lint: .venv/.test
 	$(BIN)/ruff check .
@@ -53,12 +53,12 @@ lint: .venv/.test
 	$(BIN)/lint-imports
 
 docs: .venv/.demo
-	$(BIN)/flexjoint effects --markdown > docs/effects.md.new
-	mv docs/effects.md.new docs/effects.md
-	$(BIN)/python -c "from flexjoint.diagnosis.settings import settings_page; print(settings_page(), end='')" > docs/settings.md.new
-	mv docs/settings.md.new docs/settings.md
-	$(BIN)/python -c "from flexjoint.core.limits import limits_page; print(limits_page(), end='')" > docs/limits.md.new
-	mv docs/limits.md.new docs/limits.md
+	$(BIN)/flexjoint effects --markdown > docs/reference/effects.md.new
+	mv docs/reference/effects.md.new docs/reference/effects.md
+	$(BIN)/python -c "from flexjoint.diagnosis.settings import settings_page; print(settings_page(), end='')" > docs/reference/settings.md.new
+	mv docs/reference/settings.md.new docs/reference/settings.md
+	$(BIN)/python -c "from flexjoint.core.limits import limits_page; print(limits_page(), end='')" > docs/reference/limits.md.new
+	mv docs/reference/limits.md.new docs/reference/limits.md
 	$(BIN)/python docs/modules.py
 	$(BIN)/python docs/export_table.py
 

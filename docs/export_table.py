@@ -6,7 +6,7 @@ from pathlib import Path
 
 from flexjoint.export.targets import page
 
-PAGE = Path(__file__).parent / "exporting.md"
+PAGE = Path(__file__).parent / "reference" / "exporting.md"
 
 if __name__ == "__main__":
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

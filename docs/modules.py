@@ -8,7 +8,7 @@ from pathlib import Path
 
 DOCS = Path(__file__).parent
 PACKAGE = DOCS.parent / "flexjoint"
-PAGE = DOCS / "architecture.md"
+PAGE = DOCS / "explained" / "architecture.md"
 BEGIN, END = "<!-- packages: written by make docs -->\n", "<!-- end of packages -->\n"
 FLOORS = (
     ("cli",),
@@ -41,7 +41,7 @@ def _rows(folder: Path) -> Iterator[str]:
     if not (folder / "__init__.py").is_file():
         return
     modules = sorted(path.stem for path in folder.glob("*.py") if path.stem != "__init__")
-    if folder.name == "effects":  # docs/effects.md has them
+    if folder.name == "effects":  # docs/reference/effects.md has them
         modules = [name for name in modules if name.startswith("_")] + ["one an effect"]
     name = folder.relative_to(PACKAGE.parent).as_posix()
     yield f"| `{name}/` | {_first(folder / '__init__.py')} | {', '.join(modules)} |"

@@ -29,8 +29,8 @@ README = """# A benchmark of diagnoses
 Every folder holds `recording.parquet` of a machine and `robot.yaml` with its URDF, the nominal model: what
 its maker says of it, with `tolerance`, the relative standard deviation of its numbers. `cases.json` lists the
 folders, and the effects that may be missing in the nominal model, with their parameters (SI, referred to the
-link). Which ones are, if any, is in `truth.sealed`. Formats: docs/formats.md, laws: docs/effects.md, answers
-and what they are worth: docs/benchmark.md of flexjoint.
+link). Which ones are, if any, is in `truth.sealed`. Formats: docs/reference/formats.md, laws:
+docs/reference/effects.md, answers and what they are worth: docs/studies/benchmark.md of flexjoint.
 """
 
 

@@ -95,7 +95,9 @@ def _cells(row: Row) -> tuple[str, ...]:
 
 
 def score(folder: Path, answers: Path) -> Score:
-    """The score of a file of answers (docs/benchmark.md); raises BenchmarkError for one that cannot be read.
+    """The score of a file of answers (docs/studies/benchmark.md).
+
+    Raises BenchmarkError for one that cannot be read.
 
     A case without an answer is one in which nothing was named.
     """

@@ -22,7 +22,11 @@ ROOT = HERE.parents[1]
 PAGES = (
     "CONTRIBUTING.md",
     "CHANGELOG.md",
-    "docs/*.md",
+    "docs/start/*.md",
+    "docs/howto/*.md",
+    "docs/reference/*.md",
+    "docs/explained/*.md",
+    "docs/studies/*.md",
     "docs/pictures/*",
     "robots/*/README.md",
     "notebooks/**/*",
@@ -32,23 +36,24 @@ LINKED = (  # files that pages link to, and that are no pages
     "examples/*", "bench/*.py",
 )  # fmt: skip
 
-TREES = {  # pages of a section, in order; a page of docs/ that is in none goes to the last
-    "Start": ("docs/start", "docs/demo", "docs/rigid_robots", "docs/comparison"),
+TREES = {  # pages of a section, in order; a page that is not named follows those of its room
+    "Start": ("docs/start/start", "docs/start/demo", "docs/start/rigid_robots", "docs/start/*"),
     "How to": (
-        "docs/importing", "docs/planning_experiments", "docs/gain_design", "docs/viewing",
-        "docs/adding_an_effect", "docs/testing", "docs/ci", "docs/theta_d", "docs/contact", "docs/whole_body",
+        "docs/howto/importing", "docs/howto/planning_experiments", "docs/howto/gain_design",
+        "docs/howto/viewing", "docs/howto/adding_an_effect", "docs/howto/testing", "docs/howto/*",
     ),
     "Notebooks": ("notebooks/*",),
     "Reference": (
-        "gallery", "api", "cli", "docs/formats", "docs/effects", "docs/robots", "docs/settings",
-        "docs/limits",
+        "gallery", "api", "cli", "docs/reference/formats", "docs/reference/effects", "docs/reference/robots",
+        "docs/reference/settings", "docs/reference/*",
     ),
     "Explained": (
-        "docs/conventions", "docs/architecture", "docs/simulation", "docs/symbolic", "docs/symbolic_body",
-        "docs/diagnosis", "docs/diagnosis_method", "docs/performance",
+        "docs/explained/conventions", "docs/explained/architecture", "docs/explained/simulation",
+        "docs/explained/symbolic", "docs/explained/diagnosis", "docs/explained/method_in_two_pages",
+        "docs/explained/*",
     ),
-    "Studies": ("docs/diagnosis_study", "docs/benchmark"),
-    "Project": ("CHANGELOG", "CONTRIBUTING", "robots/*/README", "docs/*"),
+    "Studies": ("docs/studies/diagnosis_study", "docs/studies/*"),
+    "Project": ("CHANGELOG", "CONTRIBUTING", "robots/*/README"),
 }  # fmt: skip
 
 

@@ -1,7 +1,8 @@
 """The gallery of effects: what each looks like in the residual and in the simulation, from the catalogue.
 
 One joint (a lever under gravity; two for a coupling of joints) follows the same motion with and without the
-effect, of the size that the study plants. Sizes are the generator's, figures docs/diagnosis_study.md's.
+effect, of the size that the study plants. Sizes are the generator's, figures those of
+docs/studies/diagnosis_study.md.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ BALANCES = {
     "spring": "spring: tau_t - K phi - D dphi",
     "link": "link: tau_t - inverse dynamics",
 }
-TOLD_APART = (  # docs/diagnosis.md, "Ties": what looks alike in a poor recording, and what parts it
+TOLD_APART = (  # docs/explained/diagnosis.md, "Ties": what looks alike in a poor recording, and what parts it
     ("torque_gain", "motor_coulomb_friction", "a rich motion with tau_t"),
     ("motor_coulomb_friction", "link_coulomb_friction", "tau_t or both encoders"),
     ("motor_viscous_friction", "link_viscous_friction", "tau_t or both encoders"),
@@ -46,10 +47,10 @@ HEAD = """\
 # Gallery of effects
 
 Generated from the catalogue by `make site`. A lever on a flexible joint (two joints for a coupling) follows
-the same motion with and without the effect, of the size that [the study](docs/diagnosis_study.md) plants.
-Left: the residual of the torque balance in which it shows most, over the signal that it depends on (the
-nominal model's is zero). Right: how far the link goes astray in the simulation. Definitions, ranges and
-defaults: [effects](docs/effects.md).
+the same motion with and without the effect, of the size that
+[the study](docs/studies/diagnosis_study.md) plants. Left: the residual of the torque balance in which it
+shows most, over the signal that it depends on (the nominal model's is zero). Right: how far the link
+goes astray in the simulation. Definitions, ranges and defaults: [effects](docs/reference/effects.md).
 """
 
 
@@ -93,7 +94,9 @@ def _alike(effect: Effect) -> list[str]:
     same = sorted({name for group in EQUIVALENT if effect.name in group for name in group} - {effect.name})
     out = []
     if same:
-        out.append(f"The same to any experiment as {_listed(same)} ([ties](docs/diagnosis.md#ties)).")
+        out.append(
+            f"The same to any experiment as {_listed(same)} ([ties](docs/explained/diagnosis.md#ties))."
+        )
     for pair in TOLD_APART:
         if effect.name in pair[:2]:
             (other,) = {*pair[:2]} - {effect.name}
@@ -114,7 +117,7 @@ def _tables() -> dict[str, dict[str, str]]:
     """Rows of the study's tables of confusion, by effect."""
     rows: dict[str, dict[str, str]] = {}
     heads: list[str] = []
-    for line in (DOCS / "diagnosis_study.md").read_text(encoding="utf-8").splitlines():
+    for line in (DOCS / "studies" / "diagnosis_study.md").read_text(encoding="utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
         if line.startswith("| planted |"):
             heads = cells

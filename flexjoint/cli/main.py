@@ -110,7 +110,9 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--out", type=Path, required=True, metavar="REC", help="recording to write (.csv or .parquet)"
     )
-    simulate.add_argument("--scheme", metavar="NAME", help="integration scheme (docs/simulation.md)")
+    simulate.add_argument(
+        "--scheme", metavar="NAME", help="integration scheme (docs/explained/simulation.md)"
+    )
     simulate.add_argument(
         "--width", type=float, metavar="W", help="[rad/s] over which schemes that need it smooth dry friction"
     )
@@ -132,14 +134,16 @@ def _parser() -> argparse.ArgumentParser:
     robots.set_defaults(run=_lazily("robots.robots"))
 
     effects = commands.add_parser("effects", help="list the physical effects it knows")
-    effects.add_argument("--markdown", action="store_true", help="as the page docs/effects.md")
+    effects.add_argument("--markdown", action="store_true", help="as the page docs/reference/effects.md")
     effects.set_defaults(run=_lazily("robots.effects"))
 
     schema = commands.add_parser("schema", help="print the JSON schema of what a command writes")
     schema.add_argument("name", nargs="?", metavar="NAME", help="without one, the names")
     schema.set_defaults(run=_lazily("programs.schema"))
 
-    serve = commands.add_parser("mcp", help="serve programs that call tools, over stdio (docs/programs.md)")
+    serve = commands.add_parser(
+        "mcp", help="serve programs that call tools, over stdio (docs/reference/programs.md)"
+    )
     serve.set_defaults(run=_lazily("programs.serve"))
 
     paper.add(commands)
@@ -209,7 +213,10 @@ def _add_check(commands: Any) -> None:
 def _add_fleet(commands: Any) -> None:
     fleet = commands.add_parser("fleet", help="watch many robots: who needs somebody, and for what")
     fleet.add_argument(
-        "source", type=Path, metavar="FOLDER|LIST", help="one folder a robot, or a list (docs/fleets.md)"
+        "source",
+        type=Path,
+        metavar="FOLDER|LIST",
+        help="one folder a robot, or a list (docs/howto/fleets.md)",
     )
     fleet.add_argument(
         "--out", type=Path, required=True, metavar="FOLDER", help="results; work is kept there"
@@ -298,7 +305,7 @@ def _add_export(commands: Any) -> None:
         "--to",
         required=True,
         metavar="TARGET",
-        help="mjcf, urdf, sdf, isaaclab, drake or ros2_control (docs/exporting.md)",
+        help="mjcf, urdf, sdf, isaaclab, drake or ros2_control (docs/reference/exporting.md)",
     )
     export.add_argument("--out", type=Path, required=True, metavar="OUT", help="the file to write")
     export.add_argument(
@@ -321,7 +328,7 @@ def _add_benchmark(commands: Any) -> None:
     making.add_argument("out", type=Path, metavar="OUT", help="a new folder")
     making.add_argument("--count", type=int, default=10, help="cases of each part, default 10")
     making.add_argument("--seed", type=int, default=1, help="draws the machines, default 1")
-    making.add_argument("--parts", nargs="+", metavar="PART", help="default: all (docs/benchmark.md)")
+    making.add_argument("--parts", nargs="+", metavar="PART", help="default: all (docs/studies/benchmark.md)")
     making.add_argument("--no-real", action="store_true", help="leave recordings of real machines out")
     making.set_defaults(run=_lazily("programs.benchmark", "make_folder"))
     answering = verbs.add_parser("answer", help="flexjoint's own answers")
@@ -330,7 +337,9 @@ def _add_benchmark(commands: Any) -> None:
     answering.set_defaults(run=_lazily("programs.benchmark", "answer"))
     scoring = verbs.add_parser("score", help="what a tool's answers are worth")
     scoring.add_argument("folder", type=Path, metavar="OUT", help="what `make` wrote")
-    scoring.add_argument("answers", type=Path, metavar="ANSWERS.json", help="of any tool (docs/benchmark.md)")
+    scoring.add_argument(
+        "answers", type=Path, metavar="ANSWERS.json", help="of any tool (docs/studies/benchmark.md)"
+    )
     scoring.add_argument("--json", type=Path, metavar="OUT.json", help="write the score as JSON")
     scoring.set_defaults(run=_lazily("programs.benchmark", "show_score"))
 

@@ -43,7 +43,8 @@ def add_engine(parser: argparse.ArgumentParser) -> None:
         "--engine",
         choices=ENGINES,
         default=ENGINES[0],
-        help="what simulates: as C, or by the pin loop in Python (docs/performance.md); default auto",
+        help="what simulates: as C, or by the pin loop in Python (docs/explained/performance.md);"
+        " default auto",
     )
 
 
@@ -67,7 +68,7 @@ def add_mapping(parser: argparse.ArgumentParser) -> None:
         "--mapping",
         type=Path,
         metavar="MAP.yaml",
-        help="what the log's signals are, where its format does not say it (docs/formats.md)",
+        help="what the log's signals are, where its format does not say it (docs/reference/formats.md)",
     )
 
 

@@ -33,7 +33,9 @@ def read_text(path: Path, most: int) -> str:
     with path.open("rb") as file:
         content = file.read(most + 1)
     if len(content) > most:
-        raise FlexJointError(f"{path} has more than {most} bytes, the most that is read (docs/limits.md)")
+        raise FlexJointError(
+            f"{path} has more than {most} bytes, the most that is read (docs/reference/limits.md)"
+        )
     return content.decode("utf-8-sig")
 
 

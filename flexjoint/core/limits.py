@@ -1,4 +1,4 @@
-"""Every limit on what is read, with its unit and its reason; `make docs` writes docs/limits.md.
+"""Every limit on what is read, with its unit and its reason; `make docs` writes docs/reference/limits.md.
 
 What lies beyond is refused in one line before any work grows with it. A robot, a log or a machine that needs
 more has not been seen; who has one raises the number here.
@@ -102,7 +102,7 @@ ALL = (RECORDING, ROBOT_FILE, DESCRIPTION, DIAGNOSIS_FILE, PLANNING, SIMULATION,
 
 
 def limits_page() -> str:
-    """docs/limits.md: every limit with its value, unit and reason."""
+    """docs/reference/limits.md: every limit with its value, unit and reason."""
     lines = [
         "# Limits of what is read",
         "",

@@ -75,7 +75,7 @@ def diagnose(
             refused, `Diagnosis.data` says which); without, they are listed, and it goes on regardless.
         workers: processes that share the search, FLEXJOINT_WORKERS or one per core by default; the bits are
             the same for any number.
-        settings: the numbers that decide (docs/settings.md).
+        settings: the numbers that decide (docs/reference/settings.md).
         budget: the time that it may take. What is looked at of a recording is then no more than a search
             takes in that time, and what is not yet done when it is over is left out; notes say so.
 

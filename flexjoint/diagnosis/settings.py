@@ -5,10 +5,11 @@ One frozen class a stage, all of them in `Settings`; `diagnose(..., settings=...
     replace(Settings(), search=replace(SearchSettings(), price=20.0))
 
 The readings carry the settings, and with them every stage that follows. Numbers that only serve numerics or
-memory (paddings, cache sizes, chunk lengths) stay where they are used. `make docs` writes docs/settings.md.
+memory (paddings, cache sizes, chunk lengths) stay where they are used. `make docs` writes
+docs/reference/settings.md.
 
 Evidence is one of: theory (it follows from a statement that is named), study (planted machines, `make study`,
-docs/diagnosis_study.md), machine (a real recording), judgement (chosen, and not varied by itself).
+docs/studies/diagnosis_study.md), machine (a real recording), judgement (chosen, and not varied by itself).
 """
 
 from __future__ import annotations
@@ -654,13 +655,13 @@ class RefinementSettings(Stage):
         1.2,
         "times the balances' standard errors",
         "from which the simulation knows the numbers less well",
-        "study: refined numbers, docs/diagnosis_method.md section 9",
+        "study: refined numbers, docs/explained/diagnosis_method.md section 9",
     )
     confirmed: float = number(
         2.0,
         "standard errors",
         "within which the simulation confirms a number",
-        "study: refined numbers, docs/diagnosis_method.md section 9",
+        "study: refined numbers, docs/explained/diagnosis_method.md section 9",
     )
     converged: float = number(0.05, "standard errors", "by which a step may still move a number", "judgement")
     small_step: float = number(
@@ -937,7 +938,7 @@ class CheckSettings(Stage):
         10.0,
         "times the whitened variance that was left",
         "that a joint's balances may leave: noise alone gives one, and tolerances show in some motions only",
-        "study: planted levers, docs/checking.md",
+        "study: planted levers, docs/howto/checking.md",
     )
     iterations: int = number(3, "steps", "of a refit from the known values at most", "judgement")
     same_level: float = number(
@@ -1045,7 +1046,7 @@ USUAL = Settings()
 
 
 def settings_page() -> str:
-    """docs/settings.md: every number with its value, unit, reason and evidence."""
+    """docs/reference/settings.md: every number with its value, unit, reason and evidence."""
     lines = [
         "# Settings of a diagnosis",
         "",
@@ -1061,8 +1062,8 @@ def settings_page() -> str:
         "```",
         "",
         "Every number that decides what a diagnosis says. Evidence is *theory* (it follows from what is",
-        "named), *study* (planted machines, [diagnosis_study.md](diagnosis_study.md)), *machine* (a real",
-        "recording) or *judgement* (chosen, and not varied by itself).",
+        "named), *study* (planted machines, [diagnosis_study.md](../studies/diagnosis_study.md)), *machine*",
+        "(a real recording) or *judgement* (chosen, and not varied by itself).",
     ]
     for name, stage in Settings().stages():
         title, _, _ = (type(stage).__doc__ or "").partition("\n\n")

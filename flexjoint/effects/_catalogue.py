@@ -141,7 +141,7 @@ def effect(
     """An effect on a joint: `effect("backlash", "elbow", gap=2e-3)`.
 
     Args:
-        name: of the effect (docs/effects.md).
+        name: of the effect (docs/reference/effects.md).
         joint: the joint it acts on; None for an effect of the whole robot.
         since: time in a recording at which it sets in [s]; None: always on.
         nominal: whether the nominal model already claims it.

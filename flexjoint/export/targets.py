@@ -73,7 +73,7 @@ def export_robot(robot: Robot, target: str, out: str | os.PathLike[str]) -> Expo
 
     Args:
         robot: what `load_robot` or `diagnosis.extend` gives.
-        target: mjcf, urdf, sdf, isaaclab, drake or ros2_control (docs/exporting.md).
+        target: mjcf, urdf, sdf, isaaclab, drake or ros2_control (docs/reference/exporting.md).
         out: the file; its name ends as such a target's does.
 
     Returns what was written, with how well each number and effect of the robot is carried. Raises
@@ -86,7 +86,7 @@ def export_robot(robot: Robot, target: str, out: str | os.PathLike[str]) -> Expo
     return done
 
 
-# --- the table of docs/exporting.md ------------------------------------------------------------------------
+# --- the table of docs/reference/exporting.md --------------------------------------------------------------
 def table() -> str:
     """Every number and effect, and how well each target carries it, as Markdown."""
     return "\n".join(_table()) + "\n"

@@ -44,7 +44,7 @@ class Fleet:
         return tuple(_blocks(self))
 
     def table(self) -> pa.Table:
-        """Every number of every recording (docs/fleets.md)."""
+        """Every number of every recording (docs/howto/fleets.md)."""
         rows = list(_rows(self))
         return pa.table(
             {name: pa.array([row[k] for row in rows], kind) for k, (name, kind) in enumerate(SCHEMA)}

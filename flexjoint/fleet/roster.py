@@ -64,11 +64,11 @@ def read(source: Path, robot: Path | None = None) -> Roster:
         roster = _of_list(source, robot)
     else:
         raise FlexJointError(
-            f"{source} does not exist; give a folder of recordings or a list (docs/fleets.md)"
+            f"{source} does not exist; give a folder of recordings or a list (docs/howto/fleets.md)"
         )
     if not roster.entries:
         raise FlexJointError(
-            f"{source} has no recording; give one folder a machine, or a list (docs/fleets.md)"
+            f"{source} has no recording; give one folder a machine, or a list (docs/howto/fleets.md)"
         )
     order = tuple(sorted(roster.entries, key=lambda e: (e.machine, e.time, str(e.recording))))
     return Roster(order, tuple(sorted(roster.events, key=lambda e: (e.machine, e.time))))

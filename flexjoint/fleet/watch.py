@@ -40,7 +40,7 @@ def watch(
     """Check every recording of a fleet, diagnose what has changed, and write the table and the page.
 
     Args:
-        source: a folder with one folder a robot, or a list (docs/fleets.md).
+        source: a folder with one folder a robot, or a list (docs/howto/fleets.md).
         out: the folder of the results; work that lies there is not done again.
         robot: the robot file of all robots that name none.
         workers: local processes, FLEXJOINT_WORKERS or one per core by default.

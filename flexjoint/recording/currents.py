@@ -1,7 +1,7 @@
 """Motor torques from motor currents: tau_motor = current * torque_constant * gear_ratio, at the link.
 
-The constant is that of the motor [N m/A]; the gear makes it a torque at the link (docs/conventions.md), and a
-coupling those of several motors torques at their joints.
+The constant is that of the motor [N m/A]; the gear makes it a torque at the link
+(docs/explained/conventions.md), and a coupling those of several motors torques at their joints.
 """
 
 from __future__ import annotations

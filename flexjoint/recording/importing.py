@@ -69,11 +69,12 @@ def import_log(
     robot: Robot | None = None,
     progress: Report | None = None,
 ) -> Imported:
-    """The recording of a log of any format, with an account of what was understood (docs/importing.md).
+    """The recording of a log of any format, with an account of what was understood (docs/howto/importing.md).
 
     Args:
         source: a file, or the folder of a bag or dataset.
-        mapping: what the log and its format do not say: a mapping file, or its keys (docs/formats.md).
+        mapping: what the log and its format do not say: a mapping file, or its keys
+            (docs/reference/formats.md).
         robot: names joints in its order where the log names none, leaves out those that it does not have, and
             gives gear ratios and torque constants that nobody else states.
         progress: called with a share in [0, 1] and what is being done.

@@ -1,4 +1,7 @@
-"""Recording: one table of measured signals over time (docs/formats.md), read, checked and written."""
+"""Recording: one table of measured signals over time, read, checked and written.
+
+docs/reference/formats.md has its columns.
+"""
 
 from __future__ import annotations
 
@@ -106,7 +109,7 @@ def make(
 
     Args:
         time: (N,) [s], or whole numbers in a unit that their size shows; what is repaired of it is noted
-            (docs/formats.md).
+            (docs/reference/formats.md).
         columns: (N,) by (channel, joint), NaN where a sample is missing.
         name: of the recording in messages.
 

@@ -188,7 +188,7 @@ class _Lines:
     drives: Drives | None
 
     def all(self) -> Iterator[str]:
-        yield "# Robot file of flexjoint, drafted by `flexjoint init`. docs/formats.md has every key."
+        yield "# Robot file of flexjoint, drafted by `flexjoint init`; every key: docs/reference/formats.md."
         yield f"# A line marked {CHECK} holds what the {self.kind.upper()} does not know: where to find it."
         yield f"name: {_quoted(self.name)}"
         yield f"{self.kind}: {_quoted(self.place)}  # relative to this file, or package://"

@@ -1,4 +1,4 @@
-"""Numbers of joints as they are handed in, to the keys of a robot file (docs/formats.md)."""
+"""Numbers of joints as they are handed in, to the keys of a robot file (docs/reference/formats.md)."""
 
 from __future__ import annotations
 

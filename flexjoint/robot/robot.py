@@ -101,8 +101,8 @@ class Robot:
     ) -> Robot:
         """A robot of a pin.Model, which is copied; its gravity and its armatures are kept.
 
-        Numbers of joints are link-referred and in SI units (docs/formats.md): one for all, a mapping by
-        joint, or one for each in the order of `joints`. A joint without a number has the default.
+        Numbers of joints are link-referred and in SI units (docs/reference/formats.md): one for all, a
+        mapping by joint, or one for each in the order of `joints`. A joint without a number has the default.
 
         Args:
             joints: the actuated joints; default: all, which must have a single axis then.
@@ -113,7 +113,7 @@ class Robot:
             torque_limit: default: none.
             gear_ratio, torque_constant [N m/A at the motor]: default: none; of recordings of currents.
             rates: `physics` and `control` [Hz].
-            tolerance: `inertial`, `com`, `stiffness`, `damping` and `torque`, see docs/formats.md.
+            tolerance: `inertial`, `com`, `stiffness`, `damping` and `torque`, see docs/reference/formats.md.
             effects: that the model claims.
 
         Raises RobotError or UnknownNameError with what was expected, what came and what to do.
@@ -155,10 +155,10 @@ class Robot:
         return robot.extended(effects)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the robot as YAML from which its description resolves (docs/formats.md), whole or not at all.
+        """Write the robot as YAML from which its description resolves, whole or not at all.
 
-        The onset (`since`) of an effect belongs to a recording and is not written. Raises RobotError of a
-        robot that was made of a pin.Model, which no file could name.
+        docs/reference/formats.md has the keys. The onset (`since`) of an effect belongs to a recording and is
+        not written. Raises RobotError of a robot that was made of a pin.Model, which no file could name.
         """
         write(self, path)
 

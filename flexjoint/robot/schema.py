@@ -1,4 +1,4 @@
-"""The robot YAML as a schema (docs/formats.md): what may stand in it, with units and defaults."""
+"""The robot YAML as a schema (docs/reference/formats.md): what may stand in it, with units and defaults."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ class Section(Strict):
 
 
 class ContactEntry(Strict):
-    """A place that touches the ground (docs/contact.md); numbers that are not given take their default."""
+    """A place that touches the ground; numbers that are not given take their default
+    (docs/howto/contact.md)."""
 
     frame: str
     radius: float = Field(0.0, ge=0, lt=float("inf"))  # m
@@ -175,7 +176,7 @@ def _check_joints(file: RobotFile, where: str) -> None:
             if number is not None and 0.0 < number < ROBOT_FILE.positive:
                 raise RobotError(
                     f"{where}: joints.{shown(name)}.{key}: {number:g} is below {ROBOT_FILE.positive:g}, the"
-                    " least that is read (docs/limits.md); check the unit"
+                    " least that is read (docs/reference/limits.md); check the unit"
                 )
         if joint.motor_inertia == 0.0 and joint.stiffness < float("inf"):
             raise RobotError(

@@ -7,7 +7,8 @@
         testing.assert_golden(run, HERE / "golden" / "elbow_step.parquet", {"q": 1e-9, "tau_t": 1e-6})
 
 Golden runs are made anew by `record_golden` or with FLEXJOINT_GOLDEN=record in the environment, and never
-else. What cannot be checked as asked is a FlexJointError, not a failed check. docs/testing.md has the story.
+else. What cannot be checked as asked is a FlexJointError, not a failed check. docs/howto/testing.md has the
+story.
 """
 
 from flexjoint.testing.differences import Difference, Tolerance, assert_golden, differences

@@ -180,7 +180,7 @@ sources:
 
 
 def recording(mat: dict[str, Any]) -> pa.Table:
-    """One recording as the table of docs/formats.md."""
+    """One recording as the table of docs/reference/formats.md."""
     rec, gear = mat["rec"], mat["para"].u
     columns: dict[str, np.ndarray] = {"time": PERIOD * np.arange(rec.time_cont.size)}
     columns |= {f"q.{j}": np.deg2rad(rec.act_pos_se_deg[i]) for i, j in enumerate(ENCODED)}

@@ -346,7 +346,7 @@ def test_parameters_are_set_by_name() -> None:
 
 # --- the page ---------------------------------------------------------------------------------------------
 def test_the_example_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "gain_design.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "gain_design.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     names: dict = {}
     exec(example, names)

@@ -28,7 +28,7 @@ from flexjoint.effects import Planned, catalogue
 from flexjoint.rigidbody.numeric import PinBody
 from flexjoint.robot import robot
 
-DOCS = Path(__file__).parents[2] / "docs" / "formats.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "formats.md"
 QUANTUM = 2 * np.pi / 2**18  # rad, the planting's encoders
 GAP = Planted("backlash", "swing", {"gap": 0.009})
 

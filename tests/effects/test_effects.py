@@ -141,7 +141,7 @@ def smooth_points(effect: Effect, count: int, seed: int) -> list[np.ndarray]:
     return kept
 
 
-# --- the laws of docs/formats.md ---------------------------------------------------------------------
+# --- the laws of docs/reference/formats.md -----------------------------------------------------------
 @every_effect
 def test_law_is_that_of_the_table(effect: Effect) -> None:
     units, laws = LAWS[effect.name]

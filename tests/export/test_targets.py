@@ -52,7 +52,7 @@ def test_an_effect_without_a_row_is_left_out_and_said(
 
 
 def test_the_page_is_fresh() -> None:
-    text = (DOCS / "exporting.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference" / "exporting.md").read_text(encoding="utf-8")
     assert text == page(text), "run: make docs"
 
 

@@ -74,7 +74,7 @@ def test_nothing_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_list_of_the_page_is_one(tmp_path: Path) -> None:
-    (text,) = blocks(DOCS / "fleets.md", "csv")
+    (text,) = blocks(DOCS / "howto" / "fleets.md", "csv")
     (tmp_path / "list.csv").write_text(text)
     roster = read(tmp_path / "list.csv")
     assert [e.temperature for e in roster.entries] == [21.5, 24.0, 22.0]

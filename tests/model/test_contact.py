@@ -117,7 +117,7 @@ def test_a_sliding_box_comes_to_rest_and_stays() -> None:
 
 
 def test_it_sticks_on_a_slope_for_ten_seconds() -> None:
-    """Gravity at atan(0.2); smoothed friction would creep by 1 mm (docs/contact.md)."""
+    """Gravity at atan(0.2); smoothed friction would creep by 1 mm (docs/howto/contact.md)."""
     model = FlexibleJointModel(box({**CALM, "friction": 0.3}, gravity=(0.2 * G, 0.0, -G)))
     tape = passive(model, lifted(model, 0.1 - DEPTH), 12.0)
     moved = np.abs(tape.q[2000:, :3] - tape.q[2000, :3])

@@ -307,7 +307,7 @@ def test_joints_out_of_range_are_named() -> None:
 
 def test_the_example_of_the_docs_runs(capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, Any] = {}
-    for example in blocks(DOCS / "theta_d.md", "python"):
+    for example in blocks(DOCS / "howto" / "theta_d.md", "python"):
         exec(example, names)
     assert "deflection of joint2: pose " in capsys.readouterr().out
 

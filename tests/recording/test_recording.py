@@ -75,7 +75,7 @@ def test_integer_columns_are_numbers(tmp_path: Path) -> None:
 
 def test_every_channel_of_the_format_has_a_unit_and_measured_ones_are_channels() -> None:
     assert set(MEASURED) <= set(UNITS)
-    assert len(UNITS) == 13  # docs/formats.md
+    assert len(UNITS) == 13  # docs/reference/formats.md
 
 
 def test_an_unknown_channel_lists_those_that_were_measured(tmp_path: Path) -> None:

@@ -288,7 +288,7 @@ def test_the_page_holds_all_it_needs() -> None:
 
 
 def test_the_example_of_the_docs_runs() -> None:
-    text = (Path(__file__).parents[2] / "docs" / "viewing.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "howto" / "viewing.md").read_text(encoding="utf-8")
     names: dict[str, Any] = {}
     exec(text.split("```python\n")[2].split("```")[0], names)
     scene = names["page"].scene

@@ -203,7 +203,7 @@ def test_unknown_names_and_joints_are_refused() -> None:
 
 
 def test_the_example_of_the_docs_runs() -> None:
-    (example,) = blocks(DOCS / "symbolic_body.md", "python")
+    (example,) = blocks(DOCS / "reference" / "symbolic_body.md", "python")
     names: dict[str, Any] = {}
     exec(example, names)
     f, easiest = names["f"], names["easiest"]

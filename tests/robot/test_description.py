@@ -123,7 +123,7 @@ def test_spawn_leaves_sections_out_and_what_belongs_to_them(tmp_path: Path) -> N
 
 
 def test_the_walker_of_the_page_is_a_robot(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "robots.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "robots.md").read_text(encoding="utf-8")
     (tmp_path / "walker.yaml").write_text(text.split("```yaml\n")[1].split("```")[0])
     whole = robot.load(tmp_path / "walker.yaml")
     assert whole.floating and whole.joint_names == ("LF_HAA", "LF_HFE")
@@ -134,7 +134,7 @@ def test_the_walker_of_the_page_is_a_robot(tmp_path: Path) -> None:
 
 
 def test_the_example_of_the_page_runs() -> None:
-    text = (ROOT / "docs" / "robots.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "robots.md").read_text(encoding="utf-8")
     names: dict[str, Any] = {}
     blocks = [block.split("```")[0] for block in text.split("```python\n")[1:]]
     exec(next(block for block in blocks if "centauro" in block), names)

@@ -1,5 +1,5 @@
-"""The KR300: the URDF against the controller's own terms, the YAML against docs/formats.md and the source,
-the recordings against the model. Why each number is what it is: robots/kr300/README.md."""
+"""The KR300: the URDF against the controller's own terms, the YAML against docs/reference/formats.md and the
+source, the recordings against the model. Why each number is what it is: robots/kr300/README.md."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_cable_spring_is_near_the_exact_counterbalance() -> None:
 
 JOINT_KEYS = {"stiffness", "damping", "motor_inertia", "motor_damping", "torque_limit", "kp", "kd"}
 JOINT_KEYS |= {"gear_ratio", "torque_constant"}
-PARAMETERS = {  # docs/formats.md
+PARAMETERS = {  # docs/reference/formats.md
     "motor_coulomb_friction": {"level"},
     "torque_offset": {"offset"},
     "backlash": {"gap"},

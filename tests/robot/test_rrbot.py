@@ -1,4 +1,4 @@
-"""RRBot: the URDF against hand-calculated figures, the two YAML files against docs/formats.md."""
+"""RRBot: the URDF against hand-calculated figures, the two YAML files against docs/reference/formats.md."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Run the study, or write its tables; from the checkout:
 
 PYTHONPATH=tests:. python -m study run   --out FOLDER [--shard 1/2] [--jobs 2] [--part single] [--every 10]
-PYTHONPATH=tests:. python -m study table --out FOLDER [--page docs/diagnosis_study.md]
+PYTHONPATH=tests:. python -m study table --out FOLDER [--page docs/studies/diagnosis_study.md]
 PYTHONPATH=tests:. python -m study misses --out FOLDER
 PYTHONPATH=tests:. python -m study goals --out FOLDER
 

@@ -1,4 +1,4 @@
-"""The study's tables as Markdown (docs/diagnosis_study.md), and its misses as text."""
+"""The study's tables as Markdown (docs/studies/diagnosis_study.md), and its misses as text."""
 
 from __future__ import annotations
 

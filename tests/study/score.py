@@ -29,7 +29,7 @@ without any right name. unexplained, healthy, refused: that verdict, without a r
 error."""
 
 GROUPS = EQUIVALENT
-"""The same to any experiment (docs/diagnosis.md, "Ties"); payload and tilt on one joint."""
+"""The same to any experiment (docs/explained/diagnosis.md, "Ties"); payload and tilt on one joint."""
 
 STRUCK_EQUIVALENTS: dict[str, frozenset[str]] = {
     # a Coulomb level and a constant torque make the two levels

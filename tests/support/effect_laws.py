@@ -1,4 +1,4 @@
-"""The laws of docs/formats.md and of the effects beyond it, typed once more."""
+"""The laws of docs/reference/formats.md and of the effects beyond it, typed once more."""
 
 from __future__ import annotations
 

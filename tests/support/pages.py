@@ -7,6 +7,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+ROOMS = ("start", "howto", "reference", "explained", "studies")
+PAGES = sorted(page for room in ROOMS for page in (DOCS / room).glob("*.md"))
 
 
 def blocks(path: Path, language: str) -> list[str]:

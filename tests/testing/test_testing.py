@@ -322,7 +322,9 @@ def test_the_example_of_the_page_is_the_file_and_passes(tmp_path: Path) -> None:
     """In a folder of its own, as a user's."""
     example = ROOT / "examples" / "test_my_robot.py"
     (shown,) = re.findall(
-        r"^```python\n(.*?)^```", (ROOT / "docs" / "testing.md").read_text(), re.DOTALL | re.MULTILINE
+        r"^```python\n(.*?)^```",
+        (ROOT / "docs" / "howto" / "testing.md").read_text(),
+        re.DOTALL | re.MULTILINE,
     )
     assert shown == example.read_text(encoding="utf-8")
     shutil.copy(example, tmp_path)

@@ -265,7 +265,7 @@ def paper_whole_body(
     gravity: Gravity = "none", motor: Motor = "link", *, timing: Timing = TIMING, engine: Engine = "auto"
 ) -> Run:
     """CENTAURO from its initial to a spider's and a mammal's pose: section 5.2 of Kameduła et al. 2016, one
-    variant of it (docs/whole_body.md).
+    variant of it (docs/studies/whole_body.md).
 
     Args:
         gravity: the feed-forward torque: none, g(q_d) (`gravity`), or g(q_d) - J_c' lambda (`contact`).

@@ -19,7 +19,7 @@ LEAD = (
     " controller at 1 kHz and physics at 2 kHz. The paper gives no trajectories, gains or numbers for this"
     " experiment, but says what its figures show: joints that gravity loads keep a position error, as the"
     " shoulder, the elbow and the hip pitch, and the hip yaw's goes to zero.",
-    "Poses, the motion between them, durations and gains are ours (docs/whole_body.md).",
+    "Poses, the motion between them, durations and gains are ours (docs/studies/whole_body.md).",
 )
 FIGURES = (
     ("Fig. 8: shoulder pitch and elbow", ("shoulder", "elbow")),

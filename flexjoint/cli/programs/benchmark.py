@@ -1,4 +1,4 @@
-"""`flexjoint benchmark make | answer | score`: recordings with known defects (docs/benchmark.md)."""
+"""`flexjoint benchmark make | answer | score`: recordings with known defects (docs/studies/benchmark.md)."""
 
 from __future__ import annotations
 

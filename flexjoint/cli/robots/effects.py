@@ -1,4 +1,4 @@
-"""`flexjoint effects`: the catalogue of effects as a list, and as the page docs/effects.md."""
+"""`flexjoint effects`: the catalogue of effects as a list, and as the page docs/reference/effects.md."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ HEAD = """\
 # Effects
 
 Generated from the catalogue by `flexjoint effects --markdown`; do not edit. One file per effect under
-`flexjoint/effects/`; [adding_an_effect.md](adding_an_effect.md) tells how to write one. Symbols and signs:
-[conventions.md](conventions.md). An effect is absent where its parameters have their null values; a shape has
-none, and means nothing while the amplitude beside it is null.
+`flexjoint/effects/`; [adding_an_effect.md](../howto/adding_an_effect.md) tells how to write one. Symbols
+and signs: [conventions.md](../explained/conventions.md). An effect is absent where its parameters have their
+null values; a shape has none, and means nothing while the amplitude beside it is null.
 """
 
 
@@ -46,7 +46,7 @@ def show() -> None:
 
 
 def markdown() -> str:
-    """The page docs/effects.md."""
+    """The page docs/reference/effects.md."""
     parts = [HEAD]
     for site, effects in _by_site():
         parts.append(f"\n## {SITES[site].rstrip('.')}\n")

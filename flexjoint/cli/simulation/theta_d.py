@@ -1,4 +1,4 @@
-"""`flexjoint theta-d`: a table of poses in, a table of what holds them out (docs/theta_d.md)."""
+"""`flexjoint theta-d`: a table of poses in, a table of what holds them out (docs/howto/theta_d.md)."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class Comparison:
         return Line(head, whole=True), Table(heads, tuple(rows))
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the errors as JSON (docs/formats.md), whole or not at all."""
+        """Write the errors as JSON (docs/reference/formats.md), whole or not at all."""
         out = Path(path)
         check_suffix(out, (".json",))
         write_json(out, self.to_json())

@@ -67,7 +67,7 @@ class DataCheck:
         return as_html(self.summary())
 
     def to_json(self) -> dict[str, Any]:
-        """The JSON form of `flexjoint check-data` (docs/formats.md)."""
+        """The JSON form of `flexjoint check-data` (docs/reference/formats.md)."""
         return {"schema": 1, "data": [data_to_json(finding) for finding in self.findings]}
 
     def write(self, path: str | os.PathLike[str]) -> None:
@@ -83,7 +83,7 @@ def check_data(robot: Robot, recording: Recording, *, settings: DataSettings = U
     Args:
         robot: the nominal model.
         recording: of this robot; currents become torques where the robot file has the constants.
-        settings: the numbers that decide (docs/settings.md).
+        settings: the numbers that decide (docs/reference/settings.md).
 
     Raises RecordingError or RobotError of what is no recording or no robot, RecordingError for currents
     without constants.

@@ -76,7 +76,7 @@ class Diagnosis(Result):
         return robot.extended(effects)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the diagnosis as JSON (docs/formats.md), whole or not at all."""
+        """Write the diagnosis as JSON (docs/reference/formats.md), whole or not at all."""
         out = Path(path)
         check_suffix(out, (".json",))
         write_json(out, to_json(self))

@@ -144,7 +144,9 @@ def parsed(path: Path, robot: Robot, make: Callable[[Mapping[str, Any], Robot], 
     except FlexJointError as error:
         raise FlexJointError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise FlexJointError(f"{path} is not as docs/formats.md has it ({error!r}); diagnose anew") from None
+        raise FlexJointError(
+            f"{path} is not as docs/reference/formats.md has it ({error!r}); diagnose anew"
+        ) from None
 
 
 def _no_number(word: str) -> NoReturn:

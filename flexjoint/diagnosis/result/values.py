@@ -1,4 +1,4 @@
-"""What a diagnosis holds: frozen values, and their JSON form (docs/formats.md)."""
+"""What a diagnosis holds: frozen values, and their JSON form (docs/reference/formats.md)."""
 
 from __future__ import annotations
 

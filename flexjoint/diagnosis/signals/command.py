@@ -31,7 +31,8 @@ def torque_source(robot: Robot, recording: Recording, joint: Joint) -> Source | 
 
 
 def _from_controller(recording: Recording, joint: Joint) -> Source | None:
-    """The default control law (docs/formats.md) on the recorded readings, which are the controller's own."""
+    """The default control law on the recorded readings, which are the controller's own
+    (docs/reference/formats.md)."""
     if joint.kp <= 0.0 or not recording.has("theta", joint.name):
         return None
     if not (recording.has("theta_ref", joint.name) and recording.has("tau_ff", joint.name)):

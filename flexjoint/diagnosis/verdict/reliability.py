@@ -4,7 +4,7 @@ A cause that explains all that is wrong in its balances leaves only the sensors'
 named instead of another, leaves more. On planted machines (`make study`), some of which have an effect that
 is in no catalogue, it was counted how often a name was right, by the variance that was left and by whether
 nominal numbers had to be implausible beside it. A logistic curve through these counts gives the probability;
-docs/diagnosis_study.md shows how well it holds.
+docs/studies/diagnosis_study.md shows how well it holds.
 """
 
 from __future__ import annotations

@@ -125,8 +125,8 @@ def _sources(log: Log, mapping: MappingFile, robot: Robot | None) -> list[_Sourc
     if not found:
         raise refusal(
             log.source,
-            f"which signal is which channel? Write a mapping (docs/formats.md) for --mapping; it holds"
-            f" {named(list(log.signals))}",
+            f"which signal is which channel? Write a mapping (docs/reference/formats.md) for --mapping; it"
+            f" holds {named(list(log.signals))}",
         )
     return found
 

@@ -1,4 +1,7 @@
-"""The mapping of a log to the channels of a recording: a YAML file as a schema (docs/formats.md)."""
+"""The mapping of a log to the channels of a recording: a YAML file, as a schema.
+
+docs/reference/formats.md has every key.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +103,9 @@ def read(source: str | os.PathLike[str]) -> MappingFile:
             )
         raw = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise RecordingError(f"mapping {path} does not exist; docs/formats.md has an example") from None
+        raise RecordingError(
+            f"mapping {path} does not exist; docs/reference/formats.md has an example"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"mapping {path} cannot be read as text: {error}") from None
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError) as error:

@@ -133,7 +133,9 @@ def _check_tree(links: Sequence[str], joints: Sequence[Element], names: Sequence
         reached.update(level)
         depth += bool(level)
         if depth > DESCRIPTION.chain:
-            raise RobotError(f"{where}: more than {DESCRIPTION.chain} joints in a row (docs/limits.md)")
+            raise RobotError(
+                f"{where}: more than {DESCRIPTION.chain} joints in a row (docs/reference/limits.md)"
+            )
     if len(reached) < len(links):
         lost = next(link for link in links if link not in reached)
         raise RobotError(

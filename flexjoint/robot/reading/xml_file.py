@@ -62,12 +62,14 @@ class _Counted(ElementTree.TreeBuilder):
             (len(attributes), DESCRIPTION.attributes, f"attributes of <{shown(tag)}>"),
         ):
             if count > most:
-                raise RobotError(f"more than {most} {what}, the most that are read (docs/limits.md)")
+                raise RobotError(
+                    f"more than {most} {what}, the most that are read (docs/reference/limits.md)"
+                )
         for name, value in attributes.items():
             if len(value) > DESCRIPTION.text:
                 raise RobotError(
                     f"<{shown(tag)}> {shown(name)} has {len(value)} characters, expected at most"
-                    f" {DESCRIPTION.text} (docs/limits.md)"
+                    f" {DESCRIPTION.text} (docs/reference/limits.md)"
                 )
         return super().start(tag, attributes)
 
@@ -116,5 +118,5 @@ def check_count(counts: Mapping[str, int], where: str) -> None:
     for what, count in counts.items():
         if count > DESCRIPTION.bodies:
             raise RobotError(
-                f"{where}: {count} {what}, expected at most {DESCRIPTION.bodies} (docs/limits.md)"
+                f"{where}: {count} {what}, expected at most {DESCRIPTION.bodies} (docs/reference/limits.md)"
             )

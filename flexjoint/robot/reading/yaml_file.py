@@ -63,7 +63,7 @@ def check_values(raw: Any, where: str) -> None:
             if ROBOT_FILE.number < abs(value) < math.inf:
                 raise RobotError(
                     f"{where}: {shown(key)}: {shown(value, 30)} is beyond {ROBOT_FILE.number:g}, the largest"
-                    " that is read (docs/limits.md); check the unit"
+                    " that is read (docs/reference/limits.md); check the unit"
                 )
 
 
@@ -101,7 +101,7 @@ class _Loader(yaml.SafeLoader):
         self._depth += 1
         if self._depth > ROBOT_FILE.depth:
             raise RobotError(
-                f"more than {ROBOT_FILE.depth} levels of nesting; the form is in docs/formats.md"
+                f"more than {ROBOT_FILE.depth} levels of nesting; the form is in docs/reference/formats.md"
             )
         before = self._nodes
         self._count(1)

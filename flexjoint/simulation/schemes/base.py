@@ -36,8 +36,8 @@ class Scheme(ABC):
         slips: whether its step lets the anchors of contacts slip; otherwise they slip after each step.
         keeps_energy, keeps_momentum: the largest omega h of a spring that rings undamped, up to which energy
             grows by less than 1 %, and what flies freely makes less than 1e-6 of its bodies' momentum, in
-            20 s (docs/simulation.md has the measurement); infinite where it always holds, 0 where it never
-            does.
+            20 s (docs/explained/simulation.md has the measurement); infinite where it always holds, 0 where
+            it never does.
         contact_damping: the largest tangential damping c of a contact as c h/m, m the mass that it moves;
             None where none is known.
     """

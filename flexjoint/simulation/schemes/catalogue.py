@@ -1,4 +1,4 @@
-"""The integration schemes by name. docs/simulation.md compares them."""
+"""The integration schemes by name. docs/explained/simulation.md compares them."""
 
 from __future__ import annotations
 

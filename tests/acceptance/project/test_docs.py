@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from support.pages import DOCS, ROOT, blocks
+from support.pages import DOCS, PAGES, ROOMS, ROOT, blocks
 
 import flexjoint.diagnosis.pipeline
 import flexjoint.effects
@@ -29,38 +29,43 @@ from flexjoint.robot.robot import Robot
 from flexjoint.simulation.controllers import LAWS
 from flexjoint.simulation.schemes import SCHEMES
 
-PAGES = sorted(
-    [*DOCS.glob("*.md"), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
-)
+LINKING = [*PAGES, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
 
 
 # --- generated and true -----------------------------------------------------------------------------------
 def test_the_page_of_effects_is_fresh() -> None:
-    assert (DOCS / "effects.md").read_text(encoding="utf-8") == markdown(), "run: make docs"
+    assert (DOCS / "reference" / "effects.md").read_text(encoding="utf-8") == markdown(), "run: make docs"
 
 
 def test_the_page_of_settings_is_fresh() -> None:
-    assert (DOCS / "settings.md").read_text(encoding="utf-8") == settings_page(), "run: make docs"
+    assert (DOCS / "reference" / "settings.md").read_text(encoding="utf-8") == settings_page(), (
+        "run: make docs"
+    )
 
 
 def test_the_page_of_limits_is_fresh() -> None:
-    assert (DOCS / "limits.md").read_text(encoding="utf-8") == limits_page(), "run: make docs"
+    assert (DOCS / "reference" / "limits.md").read_text(encoding="utf-8") == limits_page(), "run: make docs"
 
 
 def test_the_table_of_packages_is_fresh() -> None:
-    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    page = (DOCS / "explained" / "architecture.md").read_text(encoding="utf-8")
     assert page == runpy.run_path(str(DOCS / "modules.py"))["page"](page), "run: make docs"
     packages = {path.parent.name for path in (ROOT / "flexjoint").glob("*/__init__.py")}
     assert all(f"| `flexjoint/{name}/` |" in page for name in packages)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_page_lies_in_a_room() -> None:
+    rooms = {page.relative_to(DOCS).parent.as_posix() for page in DOCS.rglob("*.md")}
+    assert rooms == {*ROOMS, "site"}  # the site's first page
+
+
+@pytest.mark.parametrize("page", LINKING, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
         assert target.startswith("http") or (page.parent / target).exists(), target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", LINKING, ids=lambda page: page.name)
 def test_modules_that_are_named_exist(page: Path) -> None:
     for name in re.findall(
         r"`((?:flexjoint|tests|robots|docs|notebooks)/[\w./]+)`", page.read_text(encoding="utf-8")
@@ -70,13 +75,13 @@ def test_modules_that_are_named_exist(page: Path) -> None:
 
 
 def test_the_formats_page_names_every_channel_and_key() -> None:
-    text = (DOCS / "formats.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference" / "formats.md").read_text(encoding="utf-8")
     keys = [*UNITS, *robot_schema.RobotFile.model_fields, *robot_schema.JointEntry.model_fields]
     assert [key for key in (*keys, *robot_schema.Tolerance.model_fields) if f"`{key}`" not in text] == []
 
 
 def test_the_robot_of_the_formats_page_is_one(tmp_path: Path) -> None:
-    _, text, couplings = blocks(DOCS / "formats.md", "yaml")  # the first one is a mapping
+    _, text, couplings = blocks(DOCS / "reference" / "formats.md", "yaml")  # the first one is a mapping
     (tmp_path / "arm2.urdf").write_text(
         '<robot name="arm2"><link name="base"/><link name="arm"/><joint name="elbow" type="continuous">'
         '<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint></robot>'
@@ -94,7 +99,7 @@ def test_the_robot_of_the_formats_page_is_one(tmp_path: Path) -> None:
 @pytest.fixture
 def eddy_brake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The effect of the page, added to the catalogue as a reader would: one file in the folder."""
-    definition, use = blocks(DOCS / "adding_an_effect.md", "python")
+    definition, use = blocks(DOCS / "howto" / "adding_an_effect.md", "python")
     (tmp_path / "eddy_brake.py").write_text(definition, encoding="utf-8")
     monkeypatch.setattr(flexjoint.effects, "__path__", [*flexjoint.effects.__path__, str(tmp_path)])
     catalogue.cache_clear()
@@ -179,19 +184,19 @@ def test_the_readme_commands_exist() -> None:
 
 
 # --- simulation.md ----------------------------------------------------------------------------------------
-@pytest.mark.parametrize("example", blocks(DOCS / "simulation.md", "python"))
+@pytest.mark.parametrize("example", blocks(DOCS / "explained" / "simulation.md", "python"))
 def test_the_examples_of_the_simulation_page_run(example: str) -> None:
     exec(example, {})
 
 
 def test_the_simulation_page_names_every_scheme_and_law() -> None:
-    text = (DOCS / "simulation.md").read_text(encoding="utf-8")
+    text = (DOCS / "explained" / "simulation.md").read_text(encoding="utf-8")
     assert [name for name in (*SCHEMES, *LAWS) if f"`{name}`" not in text] == []
 
 
 # --- rigid_robots.md --------------------------------------------------------------------------------------
 def test_the_page_of_rigid_robots_finds_what_its_log_holds() -> None:
-    (example,) = blocks(DOCS / "rigid_robots.md", "python")
+    (example,) = blocks(DOCS / "start" / "rigid_robots.md", "python")
     names: dict[str, Any] = {}
     exec(example, names)
     (finding,) = names["diagnosis"].findings
@@ -202,7 +207,7 @@ def test_the_page_of_rigid_robots_finds_what_its_log_holds() -> None:
 
 
 def test_the_robot_of_that_page_is_one(tmp_path: Path) -> None:
-    (text,) = blocks(DOCS / "rigid_robots.md", "yaml")
+    (text,) = blocks(DOCS / "start" / "rigid_robots.md", "yaml")
     (tmp_path / "my_ur5.yaml").write_text(text)
     loaded = robot.load(tmp_path / "my_ur5.yaml")
     assert all(joint.rigid and joint.torque_constant == 0.1 for joint in loaded.joints)
@@ -211,7 +216,7 @@ def test_the_robot_of_that_page_is_one(tmp_path: Path) -> None:
 def test_the_commands_of_that_page_are_commands() -> None:
     from flexjoint.cli.main import _parser
 
-    for line in "\n".join(blocks(DOCS / "rigid_robots.md", "sh")).splitlines():
+    for line in "\n".join(blocks(DOCS / "start" / "rigid_robots.md", "sh")).splitlines():
         assert _parser().parse_args(line.split()[1:]).robot == "my_ur5.yaml"
 
 
@@ -224,12 +229,14 @@ RUN_ELSEWHERE = {  # by a test of its own
     "testing.md",
     "theta_d.md",
 }
-WITH_EXAMPLES = [page.name for page in sorted(DOCS.glob("*.md")) if blocks(page, "python")]
+WITH_EXAMPLES = [page for page in PAGES if blocks(page, "python")]
 
 
-@pytest.mark.parametrize("page", [page for page in WITH_EXAMPLES if page not in RUN_ELSEWHERE])
+@pytest.mark.parametrize(
+    "page", [page for page in WITH_EXAMPLES if page.name not in RUN_ELSEWHERE], ids=lambda page: page.name
+)
 def test_the_examples_of_a_page_run_one_after_the_other(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for needs_chromium in ("write_images", "write_video"):  # test_view_browser.py has them
@@ -238,14 +245,14 @@ def test_the_examples_of_a_page_run_one_after_the_other(
     turning = make(time, {("q", "shoulder_pan_joint"): 0.3 * np.sin(time)})
     turning.write("run.parquet")
     names: dict[str, Any] = {}
-    for example in blocks(DOCS / page, "python"):
+    for example in blocks(page, "python"):
         exec(example, names)
     assert len(names) > 3
 
 
 # --- checking.md ------------------------------------------------------------------------------------------
 def test_the_example_of_the_page_on_checks_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (example,) = blocks(DOCS / "checking.md", "python")
+    (example,) = blocks(DOCS / "howto" / "checking.md", "python")
     names: dict[str, Any] = {}
     exec(example, names)
     assert "joint_1" in capsys.readouterr().out

@@ -102,7 +102,7 @@ def test_the_source_distribution_holds_what_the_tests_need(built: Path) -> None:
         "examples/**/*",
         "tests/golden/*",
     )
-    wanted = code | source_files("docs/*.md", "notebooks/*.ipynb")
+    wanted = code | source_files("docs/*/*.md", "notebooks/*.ipynb")
     assert wanted | {"Makefile", "README.md", "LICENSE", "pyproject.toml"} <= held
 
 

@@ -62,7 +62,7 @@ def test_the_gallery_tells_each_effect_s_law_size_and_fate(tmp_path: Path) -> No
     gallery["_card"](effect, tmp_path)
     assert picture.stat().st_mtime_ns == drawn  # kept, as nothing changed
     tied = gallery["_alike"](fj.catalogue()["payload"])
-    assert tied == ["The same to any experiment as `base_tilt` ([ties](docs/diagnosis.md#ties))."]
+    assert tied == ["The same to any experiment as `base_tilt` ([ties](docs/explained/diagnosis.md#ties))."]
 
 
 @thorough

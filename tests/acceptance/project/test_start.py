@@ -42,7 +42,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def commands() -> list[list[str]]:
-    (page,) = blocks(DOCS / "start.md", "sh")
+    (page,) = blocks(DOCS / "start" / "start.md", "sh")
     return [shlex.split(line)[1:] for line in page.splitlines() if line]
 
 

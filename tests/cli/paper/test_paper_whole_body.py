@@ -84,7 +84,7 @@ def test_exact_compensation_leaves_little(motor: str) -> None:
 @pytest.mark.parametrize("gravity", ["none", "gravity"])
 def test_the_hip_yaw_converges_and_the_pitch_does_not(gravity: str, motor: str) -> None:
     """Fig. 9: below a tenth. Not of the rear legs in the mammal pose, whose hip pitch carries 7 to 9 N m and
-    whose wheels are stuck with 15 N along (docs/whole_body.md)."""
+    whose wheels are stuck with 15 N along (docs/studies/whole_body.md)."""
     spider, mammal = variant(gravity, motor).holds
     for hold, legs, least in ((spider, "1234", 0.05), (mammal, "12", 0.015)):
         for leg in legs:

@@ -376,7 +376,10 @@ def test_the_account_names_what_is_not_used() -> None:
 
 
 def test_a_log_of_nothing_known_asks_for_a_mapping() -> None:
-    refused(log(foo=M.q), "which signal is which channel. Write a mapping .docs/formats.md. for --mapping")
+    refused(
+        log(foo=M.q),
+        "which signal is which channel. Write a mapping .docs/reference/formats.md. for --mapping",
+    )
 
 
 def test_joints_that_slide_keep_their_metres(tmp_path: Path) -> None:

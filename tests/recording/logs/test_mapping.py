@@ -44,7 +44,7 @@ def test_a_wrong_mapping_is_refused_with_what_is_valid(raw: Any, said: str) -> N
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (None, "does not exist; docs/formats.md has an example"),
+        (None, "does not exist; docs/reference/formats.md has an example"),
         (b"\xff\xfe\x00", "cannot be read as text"),
         (b"channels: [", "is not valid YAML"),
         (b"", "expected a mapping with `channels`, got NoneType"),
@@ -60,7 +60,7 @@ def test_an_unreadable_mapping_is_refused(tmp_path: Path, text: bytes | None, sa
 
 
 def test_the_mapping_of_the_page_is_one_and_the_page_names_every_key(tmp_path: Path) -> None:
-    page = DOCS / "formats.md"
+    page = DOCS / "reference" / "formats.md"
     example, *_ = blocks(page, "yaml")  # the others are robots
     (tmp_path / "map.yaml").write_text(example)
     assert mapping.read(tmp_path / "map.yaml").channels

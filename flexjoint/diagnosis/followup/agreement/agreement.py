@@ -62,7 +62,7 @@ def agreement(
         recordings: those that were diagnosed together, in that order.
         diagnosis: what `diagnose` said of them. One of a single recording, or a refused one, is handed back.
         payloads: as in `diagnose`.
-        settings: the numbers that decide (docs/settings.md).
+        settings: the numbers that decide (docs/reference/settings.md).
 
     Raises RecordingError where a recording cannot be used with this robot.
     """

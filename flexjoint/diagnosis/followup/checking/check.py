@@ -46,7 +46,7 @@ def check(
         against: a diagnosis, or the path of its JSON: numbers with errors, and what was left. Or an
             extended robot, or the path of its YAML, which states neither: a number's error is then taken to
             be as large as this recording's, and what is left is judged by itself. None: the robot itself.
-        settings: the numbers that decide (docs/settings.md).
+        settings: the numbers that decide (docs/reference/settings.md).
 
     Raises:
         RecordingError: the recording cannot be used with this robot, or its data cannot be right.

@@ -115,7 +115,7 @@ class Check:
         return tuple(_blocks(self))
 
     def to_json(self) -> dict[str, Any]:
-        """The JSON form of `flexjoint check` (docs/formats.md)."""
+        """The JSON form of `flexjoint check` (docs/reference/formats.md)."""
         return {
             "schema": 1,
             "verdict": self.verdict,

@@ -53,7 +53,7 @@ def named(keys: Sequence[Key]) -> str:
 
 
 def without_diagnosis(robot: Robot) -> Question:
-    """Excite everything, with all sensors at the noise that is usual (docs/planning_experiments.md)."""
+    """Excite everything, with all sensors at the noise that is usual (docs/howto/planning_experiments.md)."""
     return Question((), (), Sensors({(c, j): usual_noise(robot, c, j) for c, j in _every_sensor(robot)}))
 
 

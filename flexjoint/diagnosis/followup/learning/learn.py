@@ -74,7 +74,7 @@ def learn(
         recording: the one that was diagnosed; of several, the first.
         diagnosis: what `diagnose` said of it.
         payload: what was added to the robot in it and is known.
-        settings: the numbers that decide (docs/settings.md).
+        settings: the numbers that decide (docs/reference/settings.md).
         budget: the time that it may take; joints that are not looked at in it are named in the notes.
         progress: called with a share in [0, 1] and what is being done.
 

@@ -226,7 +226,7 @@ def test_a_resting_robot_would_show_less_of_the_catalogue() -> None:
         ('{"findings": []}', "no diagnosis of schema 1"),
         (json.dumps(diagnosis_of({**payload_or_cable(), "effect": "payloads"})), "unknown effect 'payloads'"),
         (json.dumps(diagnosis_of({**payload_or_cable(), "joint": "knee"})), "unknown joint 'knee'"),
-        (json.dumps(diagnosis_of({"effect": "payload", "joint": "swing"})), "docs/formats.md"),
+        (json.dumps(diagnosis_of({"effect": "payload", "joint": "swing"})), "docs/reference/formats.md"),
     ],
 )
 def test_an_unusable_diagnosis_is_one_line(
