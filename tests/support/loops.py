@@ -54,6 +54,7 @@ def loops_agree(
     scheme: str = DEFAULT,
     width: float | None = None,
     seconds: float = 1.0,
+    atol: float = ATOL,
 ) -> None:
     """A second under the robot's controller, by both."""
     model = FlexibleJointModel(robot, effects)
@@ -67,4 +68,4 @@ def loops_agree(
         )
         for kind in ("pin", "compiled")
     )
-    agree(pin_loop, compiled)
+    agree(pin_loop, compiled, atol)

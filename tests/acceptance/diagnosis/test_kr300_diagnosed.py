@@ -23,6 +23,7 @@ NAMED = {
     ("breakaway_friction", "joint_3"),
 }
 RECORDINGS = ("rec_A", "rec_B", "rec_C")
+FRICTION = {"motor_coulomb_friction", "motor_viscous_friction"}
 
 
 @cache
@@ -36,8 +37,26 @@ def test_what_is_named_on_one_recording_is_named_on_all(name: str) -> None:
     found = diagnosis(name)
     told = summary(found)
 
-    assert {(f.effect, f.joint) for f in found.findings} == NAMED, told
+    named = {(f.effect, f.joint) for f in found.findings}
+    # friction of other joints is asked for by itself, and may be there by chance where it is not believed
+    believed = {(f.effect, f.joint) for f in found.findings if f.probability >= 0.5}
+    assert named >= NAMED, told
+    assert {effect for effect, _ in named - NAMED} <= FRICTION, told
+    assert {joint for _, joint in believed - NAMED} <= {"joint_4"}, told
     assert found.verdict == "unexplained", told  # the wrist's torques, which no effect explains
+
+
+@pytest.mark.parametrize("name", ["rec_A", "rec_C"])
+def test_friction_of_a_joint_without_a_spring_is_believed(name: str) -> None:
+    """Recording B does not show it; with the numbers of A the torque error of joint 4 halves there, too
+    (docs/studies/real_machines.md)."""
+    (found,) = [
+        f for f in diagnosis(name).findings if (f.effect, f.joint) == ("motor_coulomb_friction", "joint_4")
+    ]
+    assert found.probability > 0.8
+    level = found.parameters["level"]
+    assert isinstance(level, Fitted)
+    assert 60.0 < level.value < 130.0  # N m beyond the nominal 50
 
 
 @pytest.mark.parametrize("cause", sorted(NAMED, key=str), ids=lambda c: "-".join(filter(None, c)))
