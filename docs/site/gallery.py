@@ -59,7 +59,8 @@ def page(folder: Path) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     parts = [HEAD]
     for site in Site:
-        effects = [e for _, e in sorted(fj.catalogue().items()) if e.site is site]
+        # a learned law has no shape of its own to be shown
+        effects = [e for _, e in sorted(fj.catalogue().items()) if e.site is site and e.is_cause]
         if effects:
             parts += [f"## {SITES[site].rstrip('.')}", *(_card(effect, folder) for effect in effects)]
     return "\n\n".join(parts) + "\n"
