@@ -729,7 +729,10 @@ class VerdictSettings(Stage):
         1.2, "times the nominal error", "from which a cause makes the simulation worse", "judgement"
     )
     better_without: float = number(
-        0.95, "share of the error", "that must be left without such a cause for it to be dropped", "judgement"
+        0.95,
+        "share of the error",
+        "of a simulation with a cause, or without it, up to which that one is better",
+        "judgement",
     )
     alternatives_tried: int = number(
         3, "alternatives", "in the place of a cause that makes the simulation worse", "judgement"

@@ -96,7 +96,7 @@ class StatedCase(SimulatedCase):
         best = self.selection.best
         less = refit_without(best, best.effects[k])
         without = held_out.comparison(self.robot, self.recording, self.problem, less, self.measured)
-        return by_simulation(self.measured, without, best.effects[k], best.settings, beside)
+        return by_simulation(self.measured, without, best.effects[k], best.settings.verdict, beside)
 
     @cached_property
     def estimated(self) -> tuple[tuple[Finding, ...], Estimation | None]:

@@ -17,7 +17,7 @@ import numpy as np
 from flexjoint.diagnosis.regression.fit import Fit
 from flexjoint.diagnosis.result import Estimation, Finding, Gain, Remaining, Removed
 from flexjoint.diagnosis.search.criteria import torque_shares
-from flexjoint.diagnosis.settings import Settings, VerdictSettings
+from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.effects import Planned
 
 CERTAINLY_NOT = -40.0  # log odds below which a probability is 0 to rounding
@@ -89,23 +89,21 @@ def on_background(
 
 
 def by_simulation(
-    measured: Gain, without: Gain | None, planned: Planned, settings: Settings, beside: int = 1
+    measured: Gain, without: Gain | None, planned: Planned, settings: VerdictSettings, beside: int = 1
 ) -> float:
     """Probability that a name is right, from the factor by which the set lowers the simulated error of its
     joint on held-out data: a wrong cause may make a balance smaller, but rarely the error of the simulation.
-    What others gain is not credited to it: without this one (`without`) the simulation must be clearly worse.
+    What others gain is not credited to it: without this one (`without`) the simulation must be worse.
     0 where that is not so or not known, and for a cause of the whole robot."""
     if without is None or planned.joint is None:
         return 0.0
     keys = [f"{c}.{planned.joint}" for c in ("q", "theta", "phi")]
     after = measured.after["nrmse"]
-    least = settings.robust_search.lowered
-    if _lowered(without.after["nrmse"], after, keys) < least:
+    if settings.better_without * _lowered(without.after["nrmse"], after, keys) < 1.0:
         return 0.0
     factor = _lowered(measured.before["nrmse"], after, keys)
-    limits = settings.verdict
-    odds = limits.simulated_belief * float(np.log10(max(factor, 1e-6) / limits.simulated_factor))
-    odds -= limits.belief_crowd * max(0, beside - limits.crowd)
+    odds = settings.simulated_belief * float(np.log10(max(factor, 1e-6) / settings.simulated_factor))
+    odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 
 

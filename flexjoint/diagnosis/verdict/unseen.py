@@ -18,7 +18,6 @@ from flexjoint.diagnosis.regression.deviations import deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, fit, nominal_deviations
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Remaining, Removed
-from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
 from flexjoint.diagnosis.verdict.held_out import held_out_blocks
 from flexjoint.diagnosis.verdict.residuals import smooth_curve
@@ -113,9 +112,11 @@ def _of(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
 
 def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL) -> dict[str, float]:
     """RMS [N m], by joint, of the measured motor torque minus what the model needs for the measured motion,
-    on all usable samples; no number of the model is corrected but encoder offsets that are free."""
+    on all usable samples; about its mean where encoder offsets are free. No number is corrected."""
     problem = Problem(balances_of(robot, with_torques(robot, recording), settings))
-    left = _nominal(at_own_level(fit(problem, [])))
+    left = _of(problem, problem.nominal)
+    if robot.file.offsets == "per_recording":
+        left = left - np.mean(left, axis=1, keepdims=True)
     totals = {name: _total(problem.balances, left, j) for j, name in enumerate(robot.joint_names)}
     return {name: float(np.sqrt(np.mean(x**2))) for name, x in totals.items() if x is not None}
 

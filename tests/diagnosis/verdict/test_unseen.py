@@ -99,7 +99,7 @@ def simulated(without: float, with_it: float, joint: str | None = "elbow", besid
         for left in (with_it, without)
     ]
     named = effect("backlash", joint, gap=1e-3) if joint else effect("base_tilt", roll=0.01)
-    return by_simulation(*gains, named, USUAL, beside)
+    return by_simulation(*gains, named, LIMITS, beside)
 
 
 def test_a_cause_with_which_its_joint_is_simulated_far_better_is_believed() -> None:
@@ -109,11 +109,11 @@ def test_a_cause_with_which_its_joint_is_simulated_far_better_is_believed() -> N
 
 
 def test_a_cause_beside_which_others_gain_all_is_not_believed_for_their_gain() -> None:
-    """Without this one the simulation is about as good; or it is clearly worse, and each has its part."""
-    assert simulated(0.15, 0.14) == 0.0
-    assert simulated(0.4, 0.14) > 0.5
+    """Without this one the simulation is as good to some per cent; or it is worse, and each has its part."""
+    assert simulated(0.144, 0.14) == 0.0
+    assert simulated(0.17, 0.14) > 0.5
     alone = Gain(True, 0.5, {"nrmse": {}}, {"nrmse": {}}, {})
-    assert by_simulation(alone, None, effect("backlash", "elbow", gap=1e-3), USUAL) == 0.0
+    assert by_simulation(alone, None, effect("backlash", "elbow", gap=1e-3), LIMITS) == 0.0
 
 
 def test_a_simulation_says_nothing_of_another_joint_and_less_of_a_third_cause() -> None:
