@@ -21,7 +21,7 @@ from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.candidates import Candidate
-from flexjoint.diagnosis.search.criteria import at_own_level
+from flexjoint.diagnosis.search.criteria import at_own_level, score
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.search.selection import Selection
@@ -60,7 +60,8 @@ def with_friction(
     seen = unseen_problem(selection.best.problem)
     if not friction or not beyond_background(left, limits):
         return selection
-    selection = replace(selection, trace=())
+    first, selection = selection, replace(selection, trace=())
+    changed: set[str] = set()  # joints
     looked: dict[str, float] = {}  # N m, what was left of a joint when it was looked at
     with worker_pool([*seen.shared(), *catalogue().values(), *friction], workers) as pool:
         while not budget.spent:
@@ -81,9 +82,12 @@ def with_friction(
             }
             if not found:
                 break
-            selection = _joined(selection, found)
+            selection, changed = _joined(selection, found), changed | found.keys()
             left = remaining(unseen(selection.best, selection.nothing))
-    return selection
+    if not changed:
+        return first
+    rivals = [[_beside(rival, selection.best, changed) for rival in fits] for fits in selection.rivals]
+    return replace(selection, rivals=tuple(tuple(sorted(fits, key=score)) for fits in rivals))
 
 
 def _unseen(selection: Selection, found: dict[str, JointSet]) -> Unseen:
@@ -101,6 +105,14 @@ def _joined(selection: Selection, found: dict[str, JointSet]) -> Selection:
     known = dict(zip((e.key for e in best.effects), selection.rivals, strict=False))
     rivals = tuple(() if e.joint in found else known.get(e.key, ()) for e in grown.effects)
     return replace(selection, best=grown, rivals=rivals, trace=trace)
+
+
+def _beside(rival: Fit, best: Fit, changed: set[str]) -> Fit:
+    """A rival of a cause, fitted again beside the causes that joints which have `changed` have now."""
+    *others, last = rival.effects
+    new = [e for e in best.effects if e.joint in changed]
+    kept = [e for e in others if e.joint not in changed]
+    return fit(best.problem, [*kept, *new, last], held=new)
 
 
 def _stands_out(problem: Problem, before: Remaining, after: float) -> bool:
