@@ -26,7 +26,6 @@ from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.verdict.unseen import (
-    Unseen,
     beyond_background,
     joint_left,
     remaining,
@@ -73,26 +72,24 @@ def with_friction(
             ]
             looked |= {one.joint: one.after for one in open_joints}
             found = _each_joint(seen, selection.best.effects, open_joints, friction, pool, budget, report)
-            # beside all others and their tolerances some of it may be less than it was by itself
-            after = {one.joint: one.after for one in remaining(_unseen(selection, found))} if found else {}
-            found = {
-                one.joint: found[one.joint]
-                for one in open_joints
-                if one.joint in found and _stands_out(seen, one, after[one.joint])
-            }
             if not found:
                 break
-            selection, changed = _joined(selection, found), changed | found.keys()
-            left = remaining(unseen(selection.best, selection.nothing))
+            larger = _joined(selection, found)
+            after = remaining(unseen(larger.best, larger.nothing))
+            # beside all others and their tolerances some of it may be less than it was by itself
+            less = {one.joint: one.after for one in after}
+            kept = [one.joint for one in open_joints if _stands_out(seen, one, less[one.joint])]
+            if not found.keys() <= set(kept):
+                found = {joint: found[joint] for joint in kept if joint in found}
+                if not found:
+                    break
+                larger = _joined(selection, found)
+                after = remaining(unseen(larger.best, larger.nothing))
+            selection, changed, left = larger, changed | found.keys(), after
     if not changed:
         return first
     rivals = [[_beside(rival, selection.best, changed) for rival in fits] for fits in selection.rivals]
     return replace(selection, rivals=tuple(tuple(sorted(fits, key=score)) for fits in rivals))
-
-
-def _unseen(selection: Selection, found: dict[str, JointSet]) -> Unseen:
-    larger = _joined(selection, found)
-    return unseen(larger.best, larger.nothing)
 
 
 def _joined(selection: Selection, found: dict[str, JointSet]) -> Selection:
