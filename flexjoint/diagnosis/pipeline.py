@@ -22,7 +22,7 @@ from flexjoint.diagnosis.regression.uncertainty import Errors
 from flexjoint.diagnosis.result import DataFinding, Diagnosis, Finding, Remaining, Step, Unexplained
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.history import steps_between
-from flexjoint.diagnosis.search.robust_search import search_robustly
+from flexjoint.diagnosis.search.robust_search import JointwiseProblem, search_robustly
 from flexjoint.diagnosis.search.selection import Key, Selection, select
 from flexjoint.diagnosis.search.together import combine
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
@@ -30,10 +30,12 @@ from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.diagnosis.verdict import checks, held_out, verdict
 from flexjoint.diagnosis.verdict.cases import Case, SimulatedCase, StatedCase
 from flexjoint.diagnosis.verdict.experiment import advice
-from flexjoint.diagnosis.verdict.friction import with_friction
+from flexjoint.diagnosis.verdict.friction import FRICTION
+from flexjoint.diagnosis.verdict.joint_by_joint import joint_by_joint
+from flexjoint.diagnosis.verdict.joint_search import JOINT_SEARCH
 from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
 from flexjoint.diagnosis.verdict.review import notes, reviewed
-from flexjoint.diagnosis.verdict.unseen import remaining, unfinished
+from flexjoint.diagnosis.verdict.unseen import remaining, standing_out
 from flexjoint.effects import catalogue
 from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording, expect_several
@@ -103,7 +105,7 @@ def diagnose(
     task.report(0.92, "measuring the gain on held-out data")
     case = reviewed(_simulated(case, robots[0], recordings[0], problem), checks.SIMULATION)
     case, robust = _searched_robustly(case, candidates, len(recordings), task)
-    case = reviewed(_with_friction(case, candidates, len(recordings), task), checks.SIMULATION)
+    case = reviewed(_joint_by_joint(case, candidates, len(recordings), task), checks.SIMULATION)
     stated = reviewed(_stated(case, spread, refine, len(recordings), task), checks.FINDINGS)
     known = _known(recordings, payloads)
     checked = [notes(stated.trace[a:b]) for a, b in pairwise((0, len(first.trace), len(case.trace), None))]
@@ -229,19 +231,26 @@ def _searched_robustly(
     return found, again.notes
 
 
-def _with_friction(
+def _joint_by_joint(
     case: SimulatedCase, candidates: Sequence[Candidate], count: int, task: _Task
 ) -> SimulatedCase:
-    """The case with ordinary friction of the joints of which it leaves much, of the only recording."""
+    """The case with what is found on the joints of which it leaves much, of the only recording: ordinary
+    friction, and what a search of such a joint by itself finds. Where link encoders are not trusted, the
+    robust search has looked at each joint by itself already."""
     if count > 1:
         return case
-    report = _part(task.report, SEARCHED + 0.02, 0.01)
-    selection = with_friction(case.selection, candidates, task.workers, task.budget.part(SEARCH_TIME), report)
+    selection, report = case.selection, _part(task.report, SEARCHED + 0.02, 0.01)
+    trusted = not isinstance(case.problem, JointwiseProblem)
+    trace: tuple[Step, ...] = ()
+    for stage in (FRICTION, JOINT_SEARCH) if trusted else (FRICTION,):
+        before, budget = selection, task.budget.part(SEARCH_TIME)
+        selection = joint_by_joint(selection, candidates, stage, task.workers, budget, report)
+        trace += selection.trace if selection is not before else ()
     if selection is case.selection:
         return case
     best = selection.best
     measured = held_out.comparison(case.robot, case.recording, case.problem, best, case.measured)
-    return replace(case, selection=selection, measured=measured, trace=(*case.trace, *selection.trace))
+    return replace(case, selection=selection, measured=measured, trace=(*case.trace, *trace))
 
 
 def _stated(
@@ -274,7 +283,7 @@ def _diagnosis(
     named, estimation = case.estimated
     found = verdict.merged(named, candidates, task.settings.verdict)
     limits, joints = task.settings.verdict, remaining(case.unseen)
-    kind, reason = _verdict(found, case.left, case.explained, unfinished(joints, limits), limits)
+    kind, reason = _verdict(found, case.left, case.explained, standing_out(joints, limits), limits)
     blind = verdict.not_excited(selection, candidates)
     task.report(1.0, "done")
     return Diagnosis(

@@ -827,6 +827,18 @@ class VerdictSettings(Stage):
         "below which what is left is background",
         "machine: EMPS, 4 % after a fit of friction and offset",
     )
+    usual: float = number(
+        2.0,
+        "times the share of torque",
+        "that is left of a machine's other joints (their median): up to that the rest of a joint is as theirs",
+        "judgement",
+    )
+    usual_most: float = number(
+        0.2,
+        "share of the joint's torque",
+        "above which what is left is no background, whatever is left of others",
+        "machine: KR300 and TX40, at most 18 % after fits by hand",
+    )
     unfinished_shape: float = number(
         0.15,
         "share of the variance that there was",

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 from scipy import fft
@@ -25,7 +26,7 @@ from flexjoint.diagnosis.balances.motion import Motion, reconstruct
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.rounding import Colour, colours_of
 from flexjoint.diagnosis.signals.signals import centred, denoised, prepare
-from flexjoint.effects import Planned, Site
+from flexjoint.effects import Effect, Planned, Site
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
@@ -185,7 +186,17 @@ def balances_of(robot: Robot, recording: Recording, settings: Settings = USUAL) 
     )
 
 
-def acts_within_a_joint(e: Planned) -> bool:
+class OnJoint(Protocol):
+    """An effect at its place, with or without numbers."""
+
+    @property
+    def effect(self) -> Effect: ...
+
+    @property
+    def joint(self) -> str | None: ...
+
+
+def acts_within_a_joint(e: OnJoint) -> bool:
     """Whether an effect changes the balances of its own joint only: a body's load, and an encoder's angle,
     by which bodies are moved, change those of others, and so does friction that acts on a neighbour, too."""
     within = e.effect.site not in (Site.BODY, Site.SENSOR) and not e.effect.reaches_before

@@ -68,7 +68,7 @@ def _shrunk(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> floa
     noise = problem.freedom / rows
     total = 0.0
     for row, size in sizes.items():
-        beyond = max(0.0, float(left[row] @ left[row]) - noise / float(problem.level.inflation[row]))
+        beyond = max(0.0, float(left[row] @ left[row]) - noise * float(problem.by_row[row]))
         total += beyond * (1.0 / size**2 - 1.0)
     return total
 

@@ -90,6 +90,7 @@ class Problem:
         self._entangled: tuple[Planned, ...] = ()  # effects beside which actuators' numbers do something else
         self.level = NoiseLevel.predicted(len(rows)) if level is None else level
         self.used = np.ones(self.time.size)
+        self.counted = np.ones(len(rows), dtype=bool)  # balances that count
         self._grams = self._grams_of_rows(self.used)
         self.gram, self._gram = self._weighed()
         self._frozen = True
@@ -136,6 +137,11 @@ class Problem:
             out[row] = part @ part.T
         return out
 
+    @property
+    def by_row(self) -> np.ndarray:
+        """(rows,) by which squares of each balance's residual are multiplied; 0 where it does not count."""
+        return np.asarray(self.counted / self.level.inflation)
+
     def _moved_grams(self, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """(rows, k, k) the same where those of some numbers are others."""
         rows = len(self.balances.rows)
@@ -153,18 +159,18 @@ class Problem:
     def _weighed(self) -> tuple[np.ndarray, Any]:
         """(k, k) products of the nominal numbers' columns with their priors, and their Cholesky factor."""
         # J is never stored weighted, for its size
-        gram = np.tensordot(1.0 / self.level.inflation, self.moves.grams, 1) + np.eye(len(self._plain))
+        gram = np.tensordot(self.by_row, self.moves.grams, 1) + np.eye(len(self._plain))
         return gram, cho_factor(gram)
 
     @property
     def weights(self) -> np.ndarray:
         """(samples,) by which a residual is multiplied at this noise level; 0 where it is not used."""
-        return np.outer(1.0 / np.sqrt(self.level.inflation), self.used).ravel()
+        return np.outer(np.sqrt(self.by_row), self.used).ravel()
 
     @property
     def squares(self) -> np.ndarray:
         """(samples,) squares of the weights."""
-        return np.outer(1.0 / self.level.inflation, self.used).ravel()
+        return np.outer(self.by_row, self.used).ravel()
 
     def at(self, level: NoiseLevel) -> Problem:
         """The same problem at another noise level."""
@@ -193,6 +199,16 @@ class Problem:
         """The same problem with only some samples (bool, as many as `time`) counted."""
         counted = used.astype(float)
         return self._changed(used=counted, _grams=self._grams_of_rows(counted), _moves=LruCache())
+
+    def of_joint(self, joint: str, effects: Sequence[Planned]) -> Problem:
+        """The same problem with one joint's balances counted only, beside these effects of other joints as
+        they are."""
+        at = self.robot.joint_names.index(joint)
+        return self._changed(
+            counted=np.array([row.joint == at for row in self.balances.rows]),
+            nominal=tuple(self.with_nominal(effects)),
+            _recent=LruCache(),
+        )
 
     def free_level(self, y: np.ndarray) -> NoiseLevel:
         """The noise level that a residual y shows, where the nominal numbers explain all that they can,
@@ -233,7 +249,8 @@ class Problem:
         length = 1.0 + 2.0 * np.sum(np.where(past, 0.0, correlation)[:, 1:], axis=1)
         # a constant error is correlated over the whole recording, and is still evidence of an error
         longest_one = count / self.settings.regression.fewest_samples
-        return np.maximum(1.0, np.mean(rest**2, axis=1) * np.minimum(length, longest_one))
+        found = np.maximum(1.0, np.mean(rest**2, axis=1) * np.minimum(length, longest_one))
+        return np.where(self.counted, found, 1.0)
 
     # ------------------------------------------------------------------ residuals
     def whitened(self, effects: Sequence[Planned]) -> np.ndarray:
@@ -301,7 +318,7 @@ class Problem:
     @property
     def bare_gram(self) -> np.ndarray:
         """(numbers, numbers) J J' of the samples that are used, at the predicted noise."""
-        return np.asarray(np.sum(self.moves.grams, axis=0))
+        return np.asarray(np.tensordot(self.counted.astype(float), self.moves.grams, 1))
 
     def across(self, a: np.ndarray) -> np.ndarray:
         """(k, numbers) a J' of columns a (k, samples)."""
@@ -372,8 +389,7 @@ class Problem:
     @property
     def noise_energy(self) -> float:
         """Energy that the predicted noise alone has at this noise level."""
-        inflation = self.level.inflation
-        return float(np.sum(1.0 / inflation)) * self.freedom / len(inflation)
+        return float(np.sum(self.by_row)) * self.freedom / len(self.counted)
 
     def starts(self, effect: Effect, joint: str | None) -> tuple[dict[str, float], ...]:
         """From where an effect of a joint is looked for."""

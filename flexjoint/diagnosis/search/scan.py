@@ -303,7 +303,7 @@ class _Against:
         """Projected curvature and force of each trace's columns, switched on at each block's start. The
         traces begin at the same balance."""
         first, free = batch[0].kept.first, len(self.free) - len(self.moved)
-        plain = np.tensordot(1.0 / self.current.problem.level.inflation[first:], fixed, (0, 1))
+        plain = np.tensordot(self.current.problem.by_row[first:], fixed, (0, 1))
         own, across = [], []
         for s, by_plain in zip(self.slices, plain, strict=True):
             columns = np.concatenate([traced.columns[:, :, s] for traced in batch])

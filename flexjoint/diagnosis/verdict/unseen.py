@@ -8,8 +8,8 @@ on one signal after another, on the blocks that were fitted, and judged on those
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,38 +27,115 @@ from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
 RIDGE = 1e-3  # of a curve's normal matrix, on its mean diagonal: corners that few samples visit stay flat
+THROUGH_TORQUE = (Site.COMMAND, Site.MOTOR, Site.LINK, Site.BODY)  # where effects change motor torque
 NEIGHBOURS = ("q", "tau_t")  # signals of a neighbour that may leave a trace: a cable over two joints
 
 
 @dataclass(frozen=True)
-class Unseen:
-    """Filtered residuals [N m] of all balances on usable samples, by sets of causes."""
+class View:
+    """Filtered residuals [N m] of all balances on usable samples, by sets of causes: along one motion, beside
+    one set of nominal numbers."""
 
     problem: Problem
     away: np.ndarray  # (N,) bool: samples that the fits did not see
     before: np.ndarray  # (rows, N) of the nominal model
     after: np.ndarray  # of the whole set
-    without: tuple[np.ndarray, ...]  # of the same model without each of its causes
-    frictionless: Mapping[str, np.ndarray]  # without the ordinary friction of a joint that has some
+    without: tuple[np.ndarray, ...] = ()  # of the same model without each of its causes
+    frictionless: Mapping[str, np.ndarray] = field(
+        default_factory=dict
+    )  # without a joint's ordinary friction
+
+    def left(self, joint: str) -> float:
+        """[N m] RMS of what is left of a joint where the fits did not look; infinite if it has no torque."""
+        total = _total(self.problem.balances, self.after, self.problem.robot.joint_names.index(joint))
+        return float("inf") if total is None else float(np.sqrt(np.mean(total[self.away] ** 2)))
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """What is left of a model, in several views. An error of the model shows in all of them, what is wrong
+    with a view only in this one: so a joint is judged by the view that leaves least of it. Nominal numbers
+    fitted to some blocks may make the others worse, above all where much is left; and a link encoder that is
+    off by 0.1 mrad, times a stiffness of 5e6 N m/rad, is more torque than most causes have."""
+
+    effects: tuple[Planned, ...]
+    views: tuple[View, ...]  # the first along the readings, with numbers corrected; the last may be of motors
+    of_joint: Mapping[str, View]
+
+    def of_cause(self, k: int, joint: str) -> View:
+        """The view in which what cause k does to a joint is measured. Along the motors a spring, and sensors
+        of the links, do not show."""
+        view = self.of_joint[joint]
+        if view.problem is self.views[0].problem or self.effects[k].effect.site in THROUGH_TORQUE:
+            return view
+        return min(self.views[:2], key=lambda one: one.left(joint))
 
 
 def unseen(best: Fit, nothing: Fit) -> Unseen:
     """Residuals of a set of causes, fitted on every second block of two seconds, of the same model without
     each of them, and of the nominal model."""
     fitted = fit(unseen_problem(best.problem), best.effects)
-    problem, numbers = fitted.problem, nominal_deviations(fitted)
-    without = [_left(problem, [e for e in fitted.effects if e is not one], numbers) for one in fitted.effects]
-    rubbing = dict.fromkeys(str(e.joint) for e in fitted.effects if e.effect.ordinary)
-    frictionless = {
-        joint: _left(
-            problem,
-            [e for e in fitted.effects if not (e.effect.ordinary and e.joint == joint)],
-            numbers,
-        )
-        for joint in rubbing
-    }
-    after = _left(problem, fitted.effects, numbers)
-    return Unseen(best.problem, away(problem), _nominal(nothing), after, tuple(without), frictionless)
+    problem, effects, numbers = fitted.problem, fitted.effects, nominal_deviations(fitted)
+    corrected = _view(problem, effects, _nominal(nothing), lambda some: _left(problem, some, numbers))
+    return in_views(corrected, effects)
+
+
+def in_views(corrected: View, effects: Sequence[Planned]) -> Unseen:
+    """What effects leave in the view with corrected nominal numbers, and in others."""
+    problem = corrected.problem
+    plain = _uncorrected(problem, effects)
+    views = [corrected, plain]
+    names = [
+        joint.name
+        for j, joint in enumerate(problem.robot.joints)
+        if not joint.rigid and np.isfinite([problem.readings.q[j, 0], problem.readings.theta[j, 0]]).all()
+    ]
+    of_joint = _least(views, problem.robot.joint_names)
+    left = {joint.joint for joint in beyond_background(_remaining(of_joint), problem.settings.verdict)}
+    if left.intersection(names):
+        motors = _along_motors(problem, left.intersection(names))
+        views.append(_uncorrected(motors, [e for e in effects if e.effect.site in THROUGH_TORQUE]))
+        of_joint = _least(views, problem.robot.joint_names)
+    return Unseen(tuple(effects), tuple(views), of_joint)
+
+
+def _least(views: Sequence[View], joints: Sequence[str]) -> dict[str, View]:
+    return {joint: min(views, key=lambda view: view.left(joint)) for joint in joints}
+
+
+def _view(
+    problem: Problem,
+    effects: Sequence[Planned],
+    before: np.ndarray,
+    left: Callable[[Sequence[Planned]], np.ndarray],
+) -> View:
+    rubbing = dict.fromkeys(str(e.joint) for e in effects if e.effect.ordinary)
+    return View(
+        problem,
+        away(problem),
+        before,
+        left(effects),
+        tuple(left([e for e in effects if e is not one]) for one in effects),
+        {
+            joint: left([e for e in effects if not (e.effect.ordinary and e.joint == joint)])
+            for joint in rubbing
+        },
+    )
+
+
+def _uncorrected(problem: Problem, effects: Sequence[Planned]) -> View:
+    def left(some: Sequence[Planned]) -> np.ndarray:
+        return uncorrected(problem, some)
+
+    return _view(problem, effects, left([]), left)
+
+
+def _along_motors(problem: Problem, joints: Collection[str]) -> Problem:
+    """The same recording without the link encoders of some joints: the links follow the motors through the
+    model's springs."""
+    recording = problem.readings.recording
+    columns = {key: x for key, x in recording.columns.items() if not (key[0] == "q" and key[1] in joints)}
+    return Problem(balances_of(problem.robot, replace(recording, columns=columns), problem.settings))
 
 
 def unseen_problem(problem: Problem) -> Problem:
@@ -90,6 +167,22 @@ def joint_left(fitted: Fit, joint: str) -> tuple[float, tuple[float, ...]]:
     return (0.0 if total is None else float(np.sqrt(np.mean(total**2)))), balances
 
 
+def uncorrected(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
+    """(rows, N) what effects leave beside the nominal numbers as they are, about its mean where encoder
+    offsets are free."""
+    left = _of(problem, problem.with_nominal(effects))
+    if problem.robot.file.offsets == "per_recording":
+        left = left - np.mean(left, axis=1, keepdims=True)
+    return left
+
+
+def joint_uncorrected(problem: Problem, effects: Sequence[Planned], joint: str) -> float:
+    """[N m] RMS of that in a joint's torque, on the blocks that a fit of `unseen_problem` does not see."""
+    left = uncorrected(problem, effects)[:, away(problem)]
+    total = _total(problem.balances, left, problem.robot.joint_names.index(joint))
+    return 0.0 if total is None else float(np.sqrt(np.mean(total**2)))
+
+
 def _left(problem: Problem, effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
     """(rows, N) what effects leave beside deviations (numbers,) of the nominal numbers."""
     every = [*problem.with_nominal(effects), *deviation_effects(problem, numbers)]
@@ -114,9 +207,7 @@ def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL
     """RMS [N m], by joint, of the measured motor torque minus what the model needs for the measured motion,
     on all usable samples; about its mean where encoder offsets are free. No number is corrected."""
     problem = Problem(balances_of(robot, with_torques(robot, recording), settings))
-    left = _of(problem, problem.nominal)
-    if robot.file.offsets == "per_recording":
-        left = left - np.mean(left, axis=1, keepdims=True)
+    left = uncorrected(problem, [])
     totals = {name: _total(problem.balances, left, j) for j, name in enumerate(robot.joint_names)}
     return {name: float(np.sqrt(np.mean(x**2))) for name, x in totals.items() if x is not None}
 
@@ -124,50 +215,99 @@ def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL
 # ------------------------------------------------------------------ causes
 def removed(data: Unseen, k: int) -> Removed:
     """What cause k of a set removes, in the balance in which it removes the largest share."""
-    problem, away = data.problem, data.away
-    without, left = (np.mean(x[:, away] ** 2, axis=1) for x in (data.without[k], data.after))
-    noise = np.maximum(problem.deviation**2, 1e-300)
-    row = int(np.argmax((without - left) / np.maximum(left, noise)))
-    where = problem.balances.rows[row]
-    joint = problem.robot.joints[where.joint].name
-    share, against = shape(data, data.after[row], joint)
+    best: tuple[float, View, str, str, np.ndarray, float] | None = None
+    for joint in data.of_joint:
+        view = data.of_cause(k, joint)
+        without = view.without[_place(data, view, k)]
+        for balance, there, left, noise in _of_a_joint(data, view, without, joint):
+            before, after = (float(np.mean(x[view.away] ** 2)) for x in (there, left))
+            share = (before - after) / max(after, noise**2, 1e-300)
+            if best is None or share > best[0]:
+                best = (share, view, joint, balance, left, before)
+    assert best is not None  # every joint has a balance
+    _, view, joint, balance, left, before = best
+    after = float(np.mean(left[view.away] ** 2))
+    share, against = shape(view, left, joint)
     return Removed(
-        joint, where.balance, float(np.sqrt(without[row])), float(np.sqrt(left[row])),
-        float(np.sqrt(share * left[row])), against,
-    )  # fmt: skip
+        joint, balance, float(np.sqrt(before)), float(np.sqrt(after)), float(np.sqrt(share * after)), against
+    )
+
+
+def _of_a_joint(
+    data: Unseen, view: View, without: np.ndarray, joint: str
+) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
+    """A joint's balances in a view: name, residual (N,) without a cause and with it, deviation of the noise.
+    Along the motors it has one, of its whole torque: the spring's is computed."""
+    problem, j = view.problem, view.problem.robot.joint_names.index(joint)
+    rows = [r for r, row in enumerate(problem.balances.rows) if row.joint == j]
+    if problem is not data.views[0].problem:
+        there, left = (_total(problem.balances, x, j) for x in (without, view.after))
+        if there is not None and left is not None:
+            return [(MOTOR, there, left, float(np.linalg.norm(problem.deviation[rows[:2]])))]
+    balances = problem.balances.rows
+    return [(balances[r].balance, without[r], view.after[r], float(problem.deviation[r])) for r in rows]
+
+
+def _place(data: Unseen, view: View, k: int) -> int:
+    """The place of cause k among those of a view."""
+    if view.problem is data.views[0].problem:
+        return k
+    return sum(e.effect.site in THROUGH_TORQUE for e in data.effects[:k])
 
 
 def friction(data: Unseen, joint: str | None) -> float | None:
     """[N m] RMS of the torque that all ordinary friction of a joint removes; None where it has none."""
-    if joint is None or joint not in data.frictionless:
+    view = None if joint is None else data.of_joint.get(joint)
+    if view is None or joint is None or joint not in view.frictionless:
         return None
-    j = data.problem.robot.joint_names.index(joint)
-    without, left = (_total(data.problem.balances, x, j) for x in (data.frictionless[joint], data.after))
+    j = view.problem.robot.joint_names.index(joint)
+    without, left = (_total(view.problem.balances, x, j) for x in (view.frictionless[joint], view.after))
     if without is None or left is None:
         return None
-    gone = np.mean(without[data.away] ** 2) - np.mean(left[data.away] ** 2)
+    gone = np.mean(without[view.away] ** 2) - np.mean(left[view.away] ** 2)
     return float(np.sqrt(max(0.0, gone)))
+
+
+def spoils(data: Unseen, k: int) -> bool:
+    """Whether cause k of a set makes its joint's torque worse with the nominal numbers as they are, which an
+    extended model has. A wrong cause may explain an error together with nominal numbers that are all off:
+    with half the torque, half the inertia and half the friction as well, little is left."""
+    planned, view = data.effects[k], data.views[1]
+    if planned.joint is None or planned.effect.site not in THROUGH_TORQUE:
+        return False
+    j = view.problem.robot.joint_names.index(planned.joint)
+    without, left = (_total(view.problem.balances, x, j) for x in (view.without[k], view.after))
+    if without is None or left is None:
+        return False
+    better = view.problem.settings.verdict.better_without
+    return float(np.std(without[view.away])) < better * float(np.std(left[view.away]))
 
 
 # ------------------------------------------------------------------ joints
 def remaining(data: Unseen) -> tuple[Remaining, ...]:
     """What is left of each joint's torque."""
-    problem, away = data.problem, data.away
-    noise = _noise(problem)
+    return _remaining(data.of_joint)
+
+
+def _remaining(of_joint: Mapping[str, View]) -> tuple[Remaining, ...]:
+    noises: dict[int, list[float]] = {}
     out = []
-    for j, joint in enumerate(problem.robot.joints):
-        before, after = (_total(problem.balances, x, j) for x in (data.before, data.after))
+    for joint, view in of_joint.items():
+        problem, j = view.problem, view.problem.robot.joint_names.index(joint)
+        before, after = (_total(problem.balances, x, j) for x in (view.before, view.after))
         if before is None or after is None:
             continue
-        share, against = shape(data, after, joint.name)
-        left = float(np.sqrt(np.mean(after[away] ** 2)))
+        if id(problem) not in noises:
+            noises[id(problem)] = _noise(problem)
+        share, against = shape(view, after, joint)
+        left = float(np.sqrt(np.mean(after[view.away] ** 2)))
         out.append(
             Remaining(
-                joint.name,
+                joint,
                 float(problem.torque_scale[j]),
-                float(np.sqrt(np.mean(before[away] ** 2))),
+                float(np.sqrt(np.mean(before[view.away] ** 2))),
                 left,
-                noise[j],
+                noises[id(problem)][j],
                 float(np.sqrt(share)) * left,
                 against,
             )
@@ -215,8 +355,21 @@ def unfinished(joints: Sequence[Remaining], settings: VerdictSettings) -> tuple[
     return tuple(out)
 
 
+def standing_out(joints: Sequence[Remaining], settings: VerdictSettings) -> tuple[Remaining, ...]:
+    """The unfinished ones of which clearly more is left than of the machine's other joints: a real machine
+    has a background on all of them, and a single one's says nothing of another cause."""
+    shares = {joint.joint: joint.after / max(joint.torque, 1e-300) for joint in joints}
+    out = []
+    for joint in unfinished(joints, settings):
+        others = [share for name, share in shares.items() if name != joint.joint]
+        usual = settings.usual * float(np.median(others)) if others else 0.0
+        if shares[joint.joint] > min(usual, settings.usual_most):
+            out.append(joint)
+    return tuple(out)
+
+
 # ------------------------------------------------------------------ shape
-def shape(data: Unseen, series: np.ndarray, joint: str) -> tuple[float, str]:
+def shape(data: View, series: np.ndarray, joint: str) -> tuple[float, str]:
     """The share of what is left of a joint (N,) on held-out blocks that a smooth law of one signal removes,
     fitted on the other blocks, and that signal."""
     best, most = "t", 0.0

@@ -15,10 +15,11 @@ from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.selection import Selection
-from flexjoint.diagnosis.verdict.friction import with_friction
+from flexjoint.diagnosis.verdict.friction import FRICTION
+from flexjoint.diagnosis.verdict.joint_by_joint import joint_by_joint
 from flexjoint.effects import Planned, effect
 
-FRICTION = ("motor_coulomb_friction", "motor_viscous_friction")
+ORDINARY = ("motor_coulomb_friction", "motor_viscous_friction")
 
 
 def found_nothing(*causes: Planted, start: tuple[Planned, ...] = ()) -> tuple[Selection, list[Candidate]]:
@@ -31,7 +32,7 @@ def found_nothing(*causes: Planted, start: tuple[Planned, ...] = ()) -> tuple[Se
 
 
 def completed(selection: Selection, candidates: list[Candidate], workers: int = 1) -> Selection:
-    return with_friction(selection, candidates, workers, Budget(), lambda _share, _what: None)
+    return joint_by_joint(selection, candidates, FRICTION, workers, Budget(), lambda _share, _what: None)
 
 
 def test_friction_of_a_light_joint_is_found_beside_what_a_heavy_one_leaves() -> None:
@@ -70,7 +71,7 @@ def test_a_law_that_stood_in_for_friction_gives_way_to_it() -> None:
 
     after = completed(selection, candidates)
 
-    assert sorted(e.effect.name for e in after.best.effects if e.joint == joint) == sorted(FRICTION)
+    assert sorted(e.effect.name for e in after.best.effects if e.joint == joint) == sorted(ORDINARY)
     assert len(after.rivals) == len(after.best.effects)
 
 
@@ -88,6 +89,6 @@ def test_a_budget_that_is_spent_ends_it() -> None:
     joint = nominal("crane").joint_names[1]
     selection, candidates = found_nothing(Planted("motor_coulomb_friction", joint, {"level": 0.8}))
 
-    after = with_friction(selection, candidates, 1, Budget(0.0), lambda _share, _what: None)
+    after = joint_by_joint(selection, candidates, FRICTION, 1, Budget(0.0), lambda _share, _what: None)
 
     assert after.best.effects == ()

@@ -12,7 +12,7 @@ from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.result.known import Known
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.held_out import held_out_blocks
-from flexjoint.diagnosis.verdict.unseen import Unseen, remaining, unfinished
+from flexjoint.diagnosis.verdict.unseen import View, in_views, remaining, standing_out
 from flexjoint.effects import Planned
 
 
@@ -26,7 +26,7 @@ def left_by(best: Fit, nothing: Fit | None = None) -> tuple[Remaining, ...]:
         away = np.arange(away.size) % 2 == 1  # too short for blocks
     after = _series(best)
     before = after if nothing is None else _series(nothing)
-    return remaining(Unseen(problem, away, before, after, (), {}))
+    return remaining(in_views(View(problem, away, before, after), best.effects))
 
 
 def _series(best: Fit) -> np.ndarray:
@@ -56,12 +56,12 @@ def levels(best: Fit) -> dict[str, float]:
 
 def grown(known: Known, best: Fit, now: Sequence[Remaining]) -> dict[str, str]:
     """Joints of which more is left than was, each with the reason in words. Where it is not known what was
-    left, joints at which a cause without a name is at work (`unfinished`)."""
+    left, joints at which a cause without a name is at work (`standing_out`)."""
     settings = best.settings
     if not known.measured:
         return {
             joint.joint: f"leaves a shape of {joint.against} that its causes do not explain"
-            for joint in unfinished(now, settings.verdict)
+            for joint in standing_out(now, settings.verdict)
         }
     out = {}
     if known.level is not None:

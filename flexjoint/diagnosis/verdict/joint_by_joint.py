@@ -1,0 +1,193 @@
+"""Each joint of which a set leaves more than a background, by itself.
+
+The usual search weighs a cause against everything that is left, on all joints together, and as noise of which
+only some samples are independent. On a real machine every joint has errors of its own: what is wrong with a
+light wrist is then nothing beside what a base leaves. So in the end each such joint is looked at by itself,
+beside the causes of the others as they are. A set of causes for it is kept if it lowers the joint's torque
+error by more than a background makes, on blocks of time that its fit did not see (cross-validation: Stone
+1974).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flexjoint.core.running.budget import Budget
+from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
+from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.result import Remaining
+from flexjoint.diagnosis.search.candidates import Candidate
+from flexjoint.diagnosis.search.criteria import at_own_level, score
+from flexjoint.diagnosis.search.history import steps_between
+from flexjoint.diagnosis.search.selection import Selection
+from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.diagnosis.verdict.unseen import (
+    joint_left,
+    joint_uncorrected,
+    remaining,
+    unseen,
+    unseen_problem,
+)
+from flexjoint.effects import Planned, catalogue
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class JointSet:
+    """The causes of one joint, what they leave on blocks that their fit did not see, and their rivals."""
+
+    effects: tuple[Planned, ...]
+    left: float  # N m, RMS of the joint's torque error, ...
+    balances: tuple[float, ...]  # ... and of each of its balances
+    rivals: tuple[tuple[tuple[Planned, ...], ...], ...] = ()  # by effect: sets with another one in its place
+
+
+@dataclass(frozen=True)
+class Question:
+    """Which causes of one joint explain what the set `best` leaves of it?"""
+
+    best: Fit
+    seen: Problem  # the blocks that fits see
+    candidates: tuple[Candidate, ...]  # of the joint
+    joint: Remaining
+
+    @property
+    def others(self) -> list[Planned]:
+        return [e for e in self.best.effects if e.joint != self.joint.joint]
+
+    @property
+    def own(self) -> list[Planned]:
+        return [e for e in self.best.effects if e.joint == self.joint.joint]
+
+    def stands_out_uncorrected(self, new: JointSet) -> bool:
+        """Whether a set stands out beside the nominal numbers as they are, too, as an extended model has
+        them. With all numbers of a joint off together a wrong torque fits: what it moves is then too light,
+        and rubs too little."""
+        name, others = self.joint.joint, self.others
+        before = joint_uncorrected(self.seen, self.best.effects, name)
+        after = joint_uncorrected(self.seen, [*others, *new.effects], name)
+        return stands_out(self.seen, replace(self.joint, before=before, after=before), after)
+
+    def measured(self, own: Sequence[Planned]) -> JointSet:
+        """A set of causes of the joint, fitted beside those of other joints as they are."""
+        others = self.others
+        result = fit(self.seen, [*others, *own], held=others)
+        left, balances = joint_left(result, self.joint.joint)
+        return JointSet(tuple(e for e in result.effects if e.joint == self.joint.joint), left, balances)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A way to look for causes of one joint."""
+
+    name: str  # in the trace
+    what: str  # for which is looked, in what is reported of the progress
+    why: str  # a cause is added
+    tries: Callable[[Candidate], bool]
+    open_joints: Callable[[Sequence[Remaining], VerdictSettings], tuple[Remaining, ...]]  # that it looks at
+    find: Callable[[Question], JointSet | None]  # a function of a module; None: nothing stands out
+
+
+def joint_by_joint(
+    selection: Selection,
+    candidates: Sequence[Candidate],
+    stage: Stage,
+    workers: int,
+    budget: Budget,
+    report: Progress,
+) -> Selection:
+    """The selection with what a stage finds on the joints that are open; its trace is how that came about."""
+    candidates = [c for c in candidates if stage.tries(c)]
+    left = remaining(unseen(selection.best, selection.nothing))
+    limits = selection.best.settings.verdict
+    seen = unseen_problem(selection.best.problem)
+    if not candidates or not stage.open_joints(left, limits):
+        return selection
+    first, selection = selection, replace(selection, trace=())
+    changed: set[str] = set()  # joints
+    looked: dict[str, float] = {}  # N m, what was left of a joint when it was looked at
+    with worker_pool([*seen.shared(), *catalogue().values(), *candidates], workers) as pool:
+        while not budget.spent:
+            # what acts on two joints may have given way to a cause of one: more is left of the other
+            open_joints = [
+                one
+                for one in stage.open_joints(left, limits)
+                if one.joint not in looked or stands_out(seen, one, looked[one.joint])
+            ]
+            looked |= {one.joint: one.after for one in open_joints}
+            questions = [
+                Question(selection.best, seen, tuple(c for c in candidates if c.joint == one.joint), one)
+                for one in open_joints
+            ]
+            found = _answers(questions, stage, pool, budget, report)
+            if not found:
+                break
+            larger = _joined(selection, found, stage)
+            after = remaining(unseen(larger.best, larger.nothing))
+            # beside all others and their tolerances some of it may be less than it was by itself
+            less = {one.joint: one.after for one in after}
+            kept = [one.joint for one in open_joints if stands_out(seen, one, less[one.joint])]
+            if not found.keys() <= set(kept):
+                found = {joint: found[joint] for joint in kept if joint in found}
+                if not found:
+                    break
+                larger = _joined(selection, found, stage)
+                after = remaining(unseen(larger.best, larger.nothing))
+            selection, changed, left = larger, changed | found.keys(), after
+    if not changed:
+        return first
+    rivals = [[_beside(rival, selection.best, changed) for rival in fits] for fits in selection.rivals]
+    return replace(selection, rivals=tuple(tuple(sorted(fits, key=score)) for fits in rivals))
+
+
+def _answers(
+    questions: Sequence[Question], stage: Stage, pool: WorkerPool, budget: Budget, report: Progress
+) -> dict[str, JointSet]:
+    """The causes of each joint where some were found."""
+    found: dict[str, JointSet] = {}
+    for k in range(0, len(questions), pool.size):
+        if budget.spent:
+            break
+        now = questions[k : k + pool.size]
+        report(k / len(questions), f"looking for {stage.what} of {', '.join(q.joint.joint for q in now)}")
+        for question, answer in zip(now, pool.map(stage.find, now), strict=True):
+            if answer is not None:
+                found[question.joint.joint] = answer
+    return found
+
+
+def _joined(selection: Selection, found: dict[str, JointSet], stage: Stage) -> Selection:
+    """The selection with what was found in the place of these joints' causes, at its own noise level."""
+    best = selection.best
+    others = [e for e in best.effects if e.joint not in found]
+    grown = at_own_level(fit(best.problem, [*others, *(e for one in found.values() for e in one.effects)]))
+    trace = (*selection.trace, *steps_between(best, grown, stage.name, "background", stage.why))
+    # a rival is a fit beside the causes that a joint had
+    known = dict(zip((e.key for e in best.effects), selection.rivals, strict=False))
+    for one in found.values():
+        for e, sets in zip(one.effects, one.rivals, strict=False):
+            known[e.key] = tuple(fit(grown.problem, [*others, *own], held=others) for own in sets)
+        known |= {e.key: () for e in one.effects[len(one.rivals) :]}
+    rivals = tuple(known.get(e.key, ()) for e in grown.effects)
+    return replace(selection, best=grown, rivals=rivals, trace=trace)
+
+
+def _beside(rival: Fit, best: Fit, changed: set[str]) -> Fit:
+    """A rival of a cause, fitted again beside the causes that other joints which have `changed` have now."""
+    *others, last = rival.effects
+    new = [e for e in best.effects if e.joint in changed and e.joint != last.joint]
+    kept = [e for e in others if e.joint not in changed or e.joint == last.joint]
+    return fit(best.problem, [*kept, *new, last], held=new)
+
+
+def stands_out(problem: Problem, before: Remaining, after: float) -> bool:
+    """Whether causes that leave so much of a joint are likely there. What causes of other joints have made
+    worse on this one is no evidence of them."""
+    size = float(np.sqrt(max(0.0, min(before.before, before.after) ** 2 - after**2)))
+    limits = problem.settings.verdict
+    return size >= limits.background_even * min(limits.background_typical * before.torque, after)
