@@ -830,7 +830,7 @@ class VerdictSettings(Stage):
     usual: float = number(
         2.0,
         "times the share of torque",
-        "that is left of a machine's other joints (their median): up to that the rest of a joint is as theirs",
+        "that is left of the other joints (their median), up to which the rest of a joint is background",
         "judgement",
     )
     usual_most: float = number(

@@ -18,6 +18,7 @@ from flexjoint.diagnosis.regression.problem import REMEMBERED, Problem
 from flexjoint.effects import Planned, Site
 
 MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
+MOST_HALVINGS = 6  # of a step that raises the energy
 CONVERGED = 0.1  # what they explain changes by less than this energy
 
 
@@ -37,14 +38,34 @@ def relinearised(problem: Problem, effects: Sequence[Planned], y: np.ndarray) ->
     """(samples,) the residual y of some effects, corrected so that the nominal numbers' first-order columns
     give the right residual at the deviations that explain most of it. So products of deviations are
     included, and with them when a friction sticks and slips."""
-    deviations = problem.deviations(y)
+    linear = ~_as_effects(problem)
+
+    def there(deviations: np.ndarray) -> np.ndarray:
+        return problem.residual([*effects, *deviation_effects(problem, deviations)])
+
+    def energy(deviations: np.ndarray, residual: np.ndarray) -> float:
+        left = (residual - problem.along(np.where(linear, deviations, 0.0))) * problem.weights
+        return float(left @ left) + float(deviations @ deviations)
+
+    deviations, left = np.zeros(len(problem.nuisance)), y
+    least = energy(deviations, left)
     for _ in range(MOST_STEPS):
-        there = problem.residual([*effects, *deviation_effects(problem, deviations)])
-        last, y = deviations, there + problem.along(np.where(_as_effects(problem), deviations, 0.0))
-        deviations = problem.deviations(y)
-        moved = problem.along(deviations - last) * problem.weights
+        step = problem.deviations(y) - deviations
+        moved = problem.along(step) * problem.weights
         if float(moved @ moved) < CONVERGED:
             break
+        # beside a cause that multiplies it, a number does more than its column says, and a step too much
+        for _ in range(MOST_HALVINGS):
+            trial = deviations + step
+            trial_left = there(trial)
+            trial_energy = energy(trial, trial_left)
+            if trial_energy < least:
+                break
+            step = 0.5 * step
+        else:
+            break
+        deviations, left, least = trial, trial_left, trial_energy
+        y = left + problem.along(np.where(linear, 0.0, deviations))
     return y
 
 

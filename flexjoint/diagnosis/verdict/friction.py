@@ -12,7 +12,7 @@ from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.verdict.joint_by_joint import JointSet, Question, Stage, stands_out
-from flexjoint.diagnosis.verdict.unseen import beyond_background
+from flexjoint.diagnosis.verdict.unseen import Unseen, beyond_background, remaining
 from flexjoint.effects import Planned
 
 WHY = "it removes more than a background on data that its fit did not see"
@@ -60,4 +60,14 @@ def _ordinary(candidate: Candidate) -> bool:
     return candidate.effect.ordinary
 
 
-FRICTION = Stage("friction", "friction", WHY, _ordinary, beyond_background, find)
+def _open(data: Unseen) -> tuple[Remaining, ...]:
+    return beyond_background(remaining(data), data.views[0].problem.settings.verdict)
+
+
+def _holds(joint: Remaining, _before: Unseen, after: Unseen) -> bool:
+    """Whether friction stands out beside what was found of the other joints, too."""
+    (left,) = [one.after for one in remaining(after) if one.joint == joint.joint]
+    return stands_out(after.views[0].problem, joint, left)
+
+
+FRICTION = Stage("friction", "friction", WHY, _ordinary, _open, find, _holds)

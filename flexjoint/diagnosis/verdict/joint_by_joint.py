@@ -24,11 +24,11 @@ from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import at_own_level, score
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.selection import Selection
-from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.diagnosis.settings import Settings, VerdictSettings
 from flexjoint.diagnosis.verdict.unseen import (
+    Unseen,
     joint_left,
     joint_uncorrected,
-    remaining,
     unseen,
     unseen_problem,
 )
@@ -64,14 +64,17 @@ class Question:
     def own(self) -> list[Planned]:
         return [e for e in self.best.effects if e.joint == self.joint.joint]
 
-    def stands_out_uncorrected(self, new: JointSet) -> bool:
-        """Whether a set stands out beside the nominal numbers as they are, too, as an extended model has
-        them. With all numbers of a joint off together a wrong torque fits: what it moves is then too light,
-        and rubs too little."""
-        name, others = self.joint.joint, self.others
-        before = joint_uncorrected(self.seen, self.best.effects, name)
-        after = joint_uncorrected(self.seen, [*others, *new.effects], name)
-        return stands_out(self.seen, replace(self.joint, before=before, after=before), after)
+    def clears(self, new: JointSet) -> bool:
+        """Whether a set clears the joint's torque, or one of its balances, by more than a background, and
+        makes none of them worse; nor the joint's torque beside the nominal numbers as they are, which an
+        extended model has. With all numbers of a joint off together a wrong torque fits: what it moves is
+        then too light, and rubs too little."""
+        old, joint = self.measured(self.own), self.joint
+        if not clears(joint, (old.left, *old.balances), (new.left, *new.balances), self.seen.settings):
+            return False
+        sets = (self.own, new.effects)
+        before, after = (joint_uncorrected(self.seen, [*self.others, *own], joint.joint) for own in sets)
+        return before >= self.seen.settings.verdict.better_without * after
 
     def measured(self, own: Sequence[Planned]) -> JointSet:
         """A set of causes of the joint, fitted beside those of other joints as they are."""
@@ -89,8 +92,9 @@ class Stage:
     what: str  # for which is looked, in what is reported of the progress
     why: str  # a cause is added
     tries: Callable[[Candidate], bool]
-    open_joints: Callable[[Sequence[Remaining], VerdictSettings], tuple[Remaining, ...]]  # that it looks at
+    open_joints: Callable[[Unseen], tuple[Remaining, ...]]  # that it looks at
     find: Callable[[Question], JointSet | None]  # a function of a module; None: nothing stands out
+    holds: Callable[[Remaining, Unseen, Unseen], bool]  # what was found of a joint, beside all others
 
 
 def joint_by_joint(
@@ -103,10 +107,9 @@ def joint_by_joint(
 ) -> Selection:
     """The selection with what a stage finds on the joints that are open; its trace is how that came about."""
     candidates = [c for c in candidates if stage.tries(c)]
-    left = remaining(unseen(selection.best, selection.nothing))
-    limits = selection.best.settings.verdict
+    data = unseen(selection.best, selection.nothing)
     seen = unseen_problem(selection.best.problem)
-    if not candidates or not stage.open_joints(left, limits):
+    if not candidates or not stage.open_joints(data):
         return selection
     first, selection = selection, replace(selection, trace=())
     changed: set[str] = set()  # joints
@@ -116,7 +119,7 @@ def joint_by_joint(
             # what acts on two joints may have given way to a cause of one: more is left of the other
             open_joints = [
                 one
-                for one in stage.open_joints(left, limits)
+                for one in stage.open_joints(data)
                 if one.joint not in looked or stands_out(seen, one, looked[one.joint])
             ]
             looked |= {one.joint: one.after for one in open_joints}
@@ -128,17 +131,16 @@ def joint_by_joint(
             if not found:
                 break
             larger = _joined(selection, found, stage)
-            after = remaining(unseen(larger.best, larger.nothing))
+            after = unseen(larger.best, larger.nothing)
             # beside all others and their tolerances some of it may be less than it was by itself
-            less = {one.joint: one.after for one in after}
-            kept = [one.joint for one in open_joints if stands_out(seen, one, less[one.joint])]
+            kept = [one.joint for one in open_joints if stage.holds(one, data, after)]
             if not found.keys() <= set(kept):
                 found = {joint: found[joint] for joint in kept if joint in found}
                 if not found:
                     break
                 larger = _joined(selection, found, stage)
-                after = remaining(unseen(larger.best, larger.nothing))
-            selection, changed, left = larger, changed | found.keys(), after
+                after = unseen(larger.best, larger.nothing)
+            selection, changed, data = larger, changed | found.keys(), after
     if not changed:
         return first
     rivals = [[_beside(rival, selection.best, changed) for rival in fits] for fits in selection.rivals]
@@ -185,9 +187,23 @@ def _beside(rival: Fit, best: Fit, changed: set[str]) -> Fit:
     return fit(best.problem, [*kept, *new, last], held=new)
 
 
+def clears(joint: Remaining, before: Sequence[float], after: Sequence[float], settings: Settings) -> bool:
+    """Whether the torque of a joint or one of its balances [N m, RMS of what is left] is lower by more than a
+    background makes, and none is higher by more."""
+    usual = settings.verdict.background_typical * joint.torque
+    pairs = list(zip(before, after, strict=True))
+    if any(now**2 > then**2 + min(usual, then) ** 2 for then, now in pairs):
+        return False
+    return any(_stands_out(joint.torque, then, now, settings.verdict) for then, now in pairs)
+
+
 def stands_out(problem: Problem, before: Remaining, after: float) -> bool:
     """Whether causes that leave so much of a joint are likely there. What causes of other joints have made
     worse on this one is no evidence of them."""
-    size = float(np.sqrt(max(0.0, min(before.before, before.after) ** 2 - after**2)))
-    limits = problem.settings.verdict
-    return size >= limits.background_even * min(limits.background_typical * before.torque, after)
+    least = min(before.before, before.after)
+    return _stands_out(before.torque, least, after, problem.settings.verdict)
+
+
+def _stands_out(torque: float, before: float, after: float, limits: VerdictSettings) -> bool:
+    size = float(np.sqrt(max(0.0, before**2 - after**2)))
+    return size >= limits.background_even * min(limits.background_typical * torque, after)

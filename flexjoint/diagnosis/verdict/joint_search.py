@@ -6,17 +6,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
+from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.selection import select
-from flexjoint.diagnosis.verdict.joint_by_joint import JointSet, Question, Stage, stands_out
-from flexjoint.diagnosis.verdict.unseen import unfinished
+from flexjoint.diagnosis.verdict.joint_by_joint import JointSet, Question, Stage, clears
+from flexjoint.diagnosis.verdict.unseen import Unseen, in_any_balance, lefts
 
 WHY = "searched by itself, its joint is left less wrong by more than a background with it, on data not fitted"
 
 
 def search(question: Question) -> JointSet | None:
     """The causes that a search of the joint by itself finds in the place of those that act within it. What
-    the joint has in common with others stays as it is. None where nothing stands out, also with the nominal
-    numbers as they are: a torque that is too small may be one, or all that it moves may be too heavy."""
+    the joint has in common with others stays as it is. None where it clears nothing (`Question.clears`)."""
     joint, best = question.joint, question.best
     within = [e for e in question.own if acts_within_a_joint(e)]
     others = [e for e in best.effects if not any(e is one for one in within)]
@@ -27,11 +27,16 @@ def search(question: Question) -> JointSet | None:
         return None
     shared = [e for e in question.own if not acts_within_a_joint(e)]
     new = question.measured([*shared, *found.best.effects])
-    if not stands_out(question.seen, joint, new.left) or not question.stands_out_uncorrected(new):
+    if not question.clears(new):
         return None
     rivals = dict(zip((e.key for e in found.best.effects), found.rivals, strict=True))
     sets = tuple(tuple((*shared, *f.effects) for f in rivals.get(e.key, ())) for e in new.effects)
     return replace(new, rivals=sets)
 
 
-JOINT_SEARCH = Stage("joint by joint", "causes", WHY, acts_within_a_joint, unfinished, search)
+def _holds(joint: Remaining, before: Unseen, after: Unseen) -> bool:
+    then, now = (lefts(data, joint.joint) for data in (before, after))
+    return clears(joint, then, now, after.views[0].problem.settings)
+
+
+JOINT_SEARCH = Stage("joint by joint", "causes", WHY, acts_within_a_joint, in_any_balance, search, _holds)

@@ -337,6 +337,31 @@ def _noise(problem: Problem) -> list[float]:
     return out
 
 
+def lefts(data: Unseen, joint: str) -> tuple[float, ...]:
+    """[N m] RMS of what is left of a joint along its encoders: of its torque, and of each of its balances."""
+    view = min(data.views[:2], key=lambda one: one.left(joint))
+    j = view.problem.robot.joint_names.index(joint)
+    own = [r for r, row in enumerate(view.problem.balances.rows) if row.joint == j]
+    balances = np.sqrt(np.mean(view.after[own][:, view.away] ** 2, axis=1))
+    return (view.left(joint), *(float(x) for x in balances))
+
+
+def in_any_balance(data: Unseen) -> tuple[Remaining, ...]:
+    """Joints of which, or of one of whose balances, more is left than noise and a background make: an error
+    of a spring moves torque between motor and link, and does not show in their sum."""
+    settings, out = data.views[0].problem.settings.verdict, []
+    rows, noise = data.views[0].problem.balances.rows, data.views[0].problem.deviation
+    beyond = {joint.joint for joint in beyond_background(remaining(data), settings)}
+    for joint in remaining(data):
+        j = data.views[0].problem.robot.joint_names.index(joint.joint)
+        own = [float(noise[r]) for r, row in enumerate(rows) if row.joint == j]
+        limits = [max(settings.above_noise * one, settings.finished * joint.torque) for one in own]
+        balances = lefts(data, joint.joint)[1:]
+        if joint.joint in beyond or any(x > most for x, most in zip(balances, limits, strict=True)):
+            out.append(joint)
+    return tuple(out)
+
+
 def beyond_background(joints: Sequence[Remaining], settings: VerdictSettings) -> tuple[Remaining, ...]:
     """Joints of which more is left than noise and a background make, most first."""
     limit = [max(settings.above_noise * joint.noise, settings.finished * joint.torque) for joint in joints]

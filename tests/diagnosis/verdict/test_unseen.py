@@ -9,7 +9,7 @@ import pytest
 from flexjoint.diagnosis.result import Gain, Remaining, Removed
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.verdict.reliability import by_simulation, on_background
-from flexjoint.diagnosis.verdict.unseen import unfinished
+from flexjoint.diagnosis.verdict.unseen import standing_out, unfinished
 from flexjoint.effects import effect
 
 LIMITS = USUAL.verdict
@@ -90,6 +90,36 @@ def test_a_cause_of_no_joint_that_is_measured_is_not_believed_by_its_size() -> N
 )
 def test_a_joint_is_finished_when_what_is_left_is_background(left: Remaining, open_ones: int) -> None:
     assert len(unfinished((left,), LIMITS)) == open_ones
+
+
+@pytest.mark.parametrize(
+    ("others", "open_ones"),
+    [
+        ((0.16, 0.12), 0),  # a machine that leaves as much on its other joints
+        ((0.02, 0.05), 1),  # this one alone
+        ((), 1),  # a single joint says nothing of a background
+        ((0.9, 0.9), 0),
+    ],
+)
+def test_a_joint_that_leaves_no_more_than_the_others_does_not_stand_out(
+    others: tuple[float, ...], open_ones: int
+) -> None:
+    left = replace(JOINT, after=0.15 * JOINT.torque, before=0.15 * JOINT.torque, structured=0.0)
+    finished = [
+        replace(JOINT, joint=f"other {k}", after=share * JOINT.torque, before=40.0 * JOINT.torque)
+        for k, share in enumerate(others)
+    ]
+
+    found = standing_out((left, *finished), LIMITS)
+
+    assert [one.joint for one in found] == ["slide"] * open_ones
+
+
+def test_a_fifth_of_the_torque_is_no_background_whatever_is_left_of_others() -> None:
+    left = replace(JOINT, after=0.3 * JOINT.torque, before=0.3 * JOINT.torque)
+    other = replace(left, joint="other", before=40.0 * JOINT.torque)
+
+    assert [one.joint for one in standing_out((left, other), LIMITS)] == ["slide"]
 
 
 def simulated(without: float, with_it: float, joint: str | None = "elbow", beside: int = 1) -> float:
