@@ -728,6 +728,12 @@ class VerdictSettings(Stage):
     worse: float = number(
         1.2, "times the nominal error", "from which a cause makes the simulation worse", "judgement"
     )
+    spoilt: float = number(
+        1.5,
+        "times the torque error with nominal numbers as they are",
+        "which a cause may leave, as the two may cancel; with far more it is a stand-in",
+        "judgement",
+    )
     better_without: float = number(
         0.95,
         "share of the error",

@@ -66,15 +66,15 @@ class Question:
 
     def clears(self, new: JointSet) -> bool:
         """Whether a set clears the joint's torque, or one of its balances, by more than a background, and
-        makes none of them worse; nor the joint's torque beside the nominal numbers as they are, which an
-        extended model has. With all numbers of a joint off together a wrong torque fits: what it moves is
-        then too light, and rubs too little."""
+        makes none of them worse; nor far worse the joint's torque beside the nominal numbers as they are,
+        which an extended model has. With all numbers of a joint off together a wrong torque fits: what it
+        moves is then too light, and rubs too little."""
         old, joint = self.measured(self.own), self.joint
         if not clears(joint, (old.left, *old.balances), (new.left, *new.balances), self.seen.settings):
             return False
         sets = (self.own, new.effects)
         before, after = (joint_uncorrected(self.seen, [*self.others, *own], joint.joint) for own in sets)
-        return before >= self.seen.settings.verdict.better_without * after
+        return after <= self.seen.settings.verdict.spoilt * before
 
     def measured(self, own: Sequence[Planned]) -> JointSet:
         """A set of causes of the joint, fitted beside those of other joints as they are."""
@@ -114,7 +114,8 @@ def joint_by_joint(
     first, selection = selection, replace(selection, trace=())
     changed: set[str] = set()  # joints
     looked: dict[str, float] = {}  # N m, what was left of a joint when it was looked at
-    with worker_pool([*seen.shared(), *catalogue().values(), *candidates], workers) as pool:
+    shared = [*seen.shared(), *first.best.problem.shared(), *catalogue().values(), *candidates]
+    with worker_pool(shared, workers) as pool:
         while not budget.spent:
             # what acts on two joints may have given way to a cause of one: more is left of the other
             open_joints = [

@@ -269,8 +269,8 @@ def friction(data: Unseen, joint: str | None) -> float | None:
 
 
 def spoils(data: Unseen, k: int) -> bool:
-    """Whether cause k of a set makes its joint's torque worse with the nominal numbers as they are, which an
-    extended model has. A wrong cause may explain an error together with nominal numbers that are all off:
+    """Whether cause k of a set makes its joint's torque far worse with the nominal numbers as they are, which
+    an extended model has. A wrong cause may explain an error together with nominal numbers that are all off:
     with half the torque, half the inertia and half the friction as well, little is left."""
     planned, view = data.effects[k], data.views[1]
     if planned.joint is None or planned.effect.site not in THROUGH_TORQUE:
@@ -279,8 +279,8 @@ def spoils(data: Unseen, k: int) -> bool:
     without, left = (_total(view.problem.balances, x, j) for x in (view.without[k], view.after))
     if without is None or left is None:
         return False
-    better = view.problem.settings.verdict.better_without
-    return float(np.std(without[view.away])) < better * float(np.std(left[view.away]))
+    worse = view.problem.settings.verdict.spoilt
+    return float(np.std(left[view.away])) > worse * float(np.std(without[view.away]))
 
 
 # ------------------------------------------------------------------ joints
