@@ -9,7 +9,7 @@ from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.selection import select
 from flexjoint.diagnosis.verdict.joint_by_joint import JointSet, Question, Stage, clears
-from flexjoint.diagnosis.verdict.unseen import Unseen, in_any_balance, lefts
+from flexjoint.diagnosis.verdict.unseen import Unseen, lefts, missing_causes
 
 WHY = "searched by itself, its joint is left less wrong by more than a background with it, on data not fitted"
 
@@ -39,4 +39,4 @@ def _holds(joint: Remaining, before: Unseen, after: Unseen) -> bool:
     return clears(joint, then, now, after.views[0].problem.settings)
 
 
-JOINT_SEARCH = Stage("joint by joint", "causes", WHY, acts_within_a_joint, in_any_balance, search, _holds)
+JOINT_SEARCH = Stage("joint by joint", "causes", WHY, acts_within_a_joint, missing_causes, search, _holds)

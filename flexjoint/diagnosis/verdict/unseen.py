@@ -337,27 +337,35 @@ def _noise(problem: Problem) -> list[float]:
     return out
 
 
-def lefts(data: Unseen, joint: str) -> tuple[float, ...]:
-    """[N m] RMS of what is left of a joint along its encoders: of its torque, and of each of its balances."""
+def lefts(data: Unseen, joint: str, nominal: bool = False) -> tuple[float, ...]:
+    """[N m] RMS of what is left of a joint along its encoders: of its torque, and of each of its balances; by
+    the set, or by the `nominal` model."""
     view = min(data.views[:2], key=lambda one: one.left(joint))
-    j = view.problem.robot.joint_names.index(joint)
-    own = [r for r, row in enumerate(view.problem.balances.rows) if row.joint == j]
-    balances = np.sqrt(np.mean(view.after[own][:, view.away] ** 2, axis=1))
-    return (view.left(joint), *(float(x) for x in balances))
+    problem, series = view.problem, view.before if nominal else view.after
+    j = problem.robot.joint_names.index(joint)
+    own = [series[r] for r, row in enumerate(problem.balances.rows) if row.joint == j]
+    total = _total(problem.balances, series, j)
+    whole = [] if total is None else [total]
+    return tuple(float(np.sqrt(np.mean(x[view.away] ** 2))) for x in (*whole, *own))
 
 
-def in_any_balance(data: Unseen) -> tuple[Remaining, ...]:
-    """Joints of which, or of one of whose balances, more is left than noise and a background make: an error
-    of a spring moves torque between motor and link, and does not show in their sum."""
-    settings, out = data.views[0].problem.settings.verdict, []
-    rows, noise = data.views[0].problem.balances.rows, data.views[0].problem.deviation
-    beyond = {joint.joint for joint in beyond_background(remaining(data), settings)}
-    for joint in remaining(data):
-        j = data.views[0].problem.robot.joint_names.index(joint.joint)
-        own = [float(noise[r]) for r, row in enumerate(rows) if row.joint == j]
-        limits = [max(settings.above_noise * one, settings.finished * joint.torque) for one in own]
-        balances = lefts(data, joint.joint)[1:]
-        if joint.joint in beyond or any(x > most for x, most in zip(balances, limits, strict=True)):
+def missing_causes(data: Unseen) -> tuple[Remaining, ...]:
+    """Joints at which some cause is still missing: the unfinished ones, and those with a balance of which
+    more is left than noise and a background make, and most of what there was. An error of a spring moves
+    torque from the motor to the link, and does not show in their sum."""
+    problem = data.views[0].problem
+    settings, joints, out = problem.settings.verdict, remaining(data), []
+    open_ones = {joint.joint for joint in unfinished(joints, settings)}
+    for joint in joints:
+        j = problem.robot.joint_names.index(joint.joint)
+        own = [float(problem.deviation[r]) for r, row in enumerate(problem.balances.rows) if row.joint == j]
+        before, after = (lefts(data, joint.joint, nominal)[1:] for nominal in (True, False))
+        wrong = any(
+            now >= max(settings.above_noise * noise, settings.finished * joint.torque)
+            and now**2 > settings.unfinished_share * then**2
+            for noise, then, now in zip(own, before, after, strict=True)
+        )
+        if wrong or joint.joint in open_ones:
             out.append(joint)
     return tuple(out)
 
