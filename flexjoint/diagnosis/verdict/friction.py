@@ -21,7 +21,8 @@ WHY = "it removes more than a background on data that its fit did not see"
 def find(question: Question) -> JointSet | None:
     """The causes of a joint with ordinary friction beside them or, if that leaves no more, instead of them,
     without what of it does not stand out; None where none does. Causes of other joints are held."""
-    seen, joint, own, others = question.seen, question.joint, question.own, question.others
+    seen, own, others = question.seen, question.own, question.others
+    joint = replace(question.joint, after=question.measured(own).left)
     missing = _started(fit(seen, [*others, *own], held=others), question.candidates)
     if not missing:
         return None

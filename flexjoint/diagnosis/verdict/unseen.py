@@ -158,13 +158,17 @@ def away(problem: Problem) -> np.ndarray:
 
 def joint_left(fitted: Fit, joint: str) -> tuple[float, tuple[float, ...]]:
     """[N m] RMS of what a fit of `unseen_problem` leaves where it did not look: of a joint's torque, and of
-    each of its balances."""
+    each of its balances; with the nominal numbers corrected or as they are, whichever leaves less."""
     problem, j = fitted.problem, fitted.problem.robot.joint_names.index(joint)
-    left = _left(problem, fitted.effects, nominal_deviations(fitted))[:, away(problem)]
-    total = _total(problem.balances, left, j)
+    corrected = _left(problem, fitted.effects, nominal_deviations(fitted))
     own = [row.joint == j for row in problem.balances.rows]
-    balances = tuple(float(x) for x in np.sqrt(np.mean(left[own] ** 2, axis=1)))
-    return (0.0 if total is None else float(np.sqrt(np.mean(total**2)))), balances
+    found = []
+    for series in (corrected, uncorrected(problem, fitted.effects)):
+        left = series[:, away(problem)]
+        total = _total(problem.balances, left, j)
+        balances = tuple(float(x) for x in np.sqrt(np.mean(left[own] ** 2, axis=1)))
+        found.append((0.0 if total is None else float(np.sqrt(np.mean(total**2))), balances))
+    return min(found, key=lambda one: one[0])
 
 
 def uncorrected(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
