@@ -20,15 +20,20 @@ WHY = "it removes more than a background on data that its fit did not see"
 
 def find(question: Question) -> JointSet | None:
     """The causes of a joint with ordinary friction beside them or, if that leaves no more, instead of them,
-    without what of it does not stand out; None where none does. Causes of other joints are held."""
+    without what of it does not stand out; None where none does. Causes of other joints are held. A law of two
+    joints gives way to friction that leaves a twentieth less in its place."""
     seen, own, others = question.seen, question.own, question.others
-    joint = replace(question.joint, after=question.measured(own).left)
+    old = question.measured(own)
+    joint = replace(question.joint, after=old.left)
     missing = _started(fit(seen, [*others, *own], held=others), question.candidates)
     if not missing:
         return None
     best = question.measured([*own, *missing])
     if own:
         alone = question.measured([*(e for e in own if e.effect.ordinary), *missing])
+        less = alone.left <= seen.settings.verdict.better_without * old.left
+        if less and _of_two_joints(own) and _alike(seen, joint, alone, old):
+            return alone
         if _alike(seen, joint, alone, best):
             best = alone
     for added in missing:
@@ -39,6 +44,10 @@ def find(question: Question) -> JointSet | None:
             best = without
     kept = any(e.key in {one.key for one in missing} for e in best.effects)
     return best if kept and stands_out(seen, joint, best.left) else None
+
+
+def _of_two_joints(effects: Sequence[Planned]) -> bool:
+    return any(e.effect.reaches_before for e in effects)
 
 
 def _started(here: Fit, candidates: Sequence[Candidate]) -> list[Planned]:
@@ -65,10 +74,13 @@ def _open(data: Unseen) -> tuple[Remaining, ...]:
     return beyond_background(remaining(data), data.views[0].problem.settings.verdict)
 
 
-def _holds(joint: Remaining, _before: Unseen, after: Unseen) -> bool:
-    """Whether friction stands out beside what was found of the other joints, too."""
+def _holds(joint: Remaining, before: Unseen, after: Unseen) -> bool:
+    """Whether friction stands out beside what was found of the other joints, too, or leaves no more than the
+    law of two joints in whose place it is."""
     (left,) = [one.after for one in remaining(after) if one.joint == joint.joint]
-    return stands_out(after.views[0].problem, joint, left)
+    had, has = ([e for e in of.effects if e.joint == joint.joint] for of in (before, after))
+    replaces = _of_two_joints(had) and not _of_two_joints(has)
+    return stands_out(after.views[0].problem, joint, left) or (replaces and left <= joint.after)
 
 
 FRICTION = Stage("friction", "friction", WHY, _ordinary, _open, find, _holds)
