@@ -5,7 +5,8 @@ PYTHONPATH=tests:. python -m study table --out FOLDER [--page docs/studies/diagn
 PYTHONPATH=tests:. python -m study misses --out FOLDER
 PYTHONPATH=tests:. python -m study goals --out FOLDER
 
-The parts dirty, background and unknown are run when asked for, and their sealed numbers with --sealed only.
+The parts dirty, background, unknown and fresh are run when asked for; of the first three the sealed numbers
+with --sealed only. What comes out of fresh is counted, and must never lead to a rule.
 """
 
 import argparse

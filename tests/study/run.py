@@ -106,7 +106,7 @@ def diagnosed(case: StudyCase) -> dict[str, Any]:
     record["joints"] = len(nominal.joints)
     record["planting"] = round(time.perf_counter() - started, 3)
     record["excess"] = excess(nominal, recording)
-    if case.part == "double":
+    if len(case.case.effects) > 1 and not isinstance(case.case, Dirty):
         record["least_excess"] = least_excess(nominal, recording, case.case.effects)
     started = time.perf_counter()
     try:

@@ -60,7 +60,7 @@ def matches(record: Record) -> list[Match]:
     found: Sequence[Record] = record.get("findings", ())
     out: list[Match] = []
     for truth in record["truth"]:
-        own = [f for f in found if key(f) == key(truth) or _for_all(f, truth, record)]
+        own = [f for f in found if is_name_of(f, truth, record)]
         ties = [f for f in found if list(key(truth)) in f["ties"]]
         equal = [f for f in found if f["joint"] == truth["joint"] and _same(f["effect"], truth["effect"])]
         kinds = (("exact", own), ("tied", ties), ("equivalent", equal))
@@ -72,9 +72,10 @@ def matches(record: Record) -> list[Match]:
     return out
 
 
-def _for_all(finding: Record, truth: Record, record: Record) -> bool:
-    """A cause of the robot's only joint is one of the robot."""
-    return record["joints"] == 1 and finding["effect"] == truth["effect"] and finding["joint"] is None
+def is_name_of(finding: Record, truth: Record, record: Record) -> bool:
+    """Whether a finding is a planted cause by name; one of the robot's only joint is one of the robot."""
+    of_robot = record["joints"] == 1 and finding["effect"] == truth["effect"] and finding["joint"] is None
+    return key(finding) == key(truth) or of_robot
 
 
 def _same(one: str, other: str) -> bool:
@@ -152,7 +153,7 @@ def detectable(record: Record) -> bool:
 
 
 def each_detectable(record: Record) -> bool:
-    """Whether each of two causes is there to be named beside the other."""
+    """Whether each of several causes is there to be named beside the others."""
     return (record.get("least_excess") or 0.0) > DETECTABLE
 
 
