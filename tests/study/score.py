@@ -168,7 +168,7 @@ def struck_outcome(record: Record) -> str:
     if verdict in ("error", "crash"):
         return "failed"
     (truth,) = record["truth"]
-    names = [f for f in record["findings"] if not _equivalent(f, truth)]
+    names = [f for f in record["findings"] if not equivalent(f, truth)]
     if any(f["probability"] >= SURE for f in names) and verdict == "causes":
         return "wrong"
     if verdict in ("unexplained", "healthy", "refused"):
@@ -176,7 +176,8 @@ def struck_outcome(record: Record) -> str:
     return "unsure" if names else "equivalent"
 
 
-def _equivalent(finding: Record, truth: Record) -> bool:
+def equivalent(finding: Record, truth: Record) -> bool:
+    """Whether a finding is what a struck effect amounts to."""
     effect = finding["effect"]
     same = _same(effect, truth["effect"]) or effect in STRUCK_EQUIVALENTS.get(truth["effect"], ())
     return same and (finding["joint"] == truth["joint"] or None in (finding["joint"], truth["joint"]))
