@@ -90,7 +90,12 @@ def pieces() -> tuple[Piece, ...]:
             lambda: patch.object(verdict_cases, "followed", lambda _best, found, _estimation: found),
         ),
         Piece(
-            "refinement on the simulation",
+            "refinement: numbers that it only confirms stay",
+            lambda acted: _wrapped(verdict_cases.refined, "_known_better", acted, lambda out, _: bool(out)),
+            lambda: patch.object(verdict_cases.refined, "_known_better", lambda *_: ""),
+        ),
+        Piece(
+            "refinement: all of it",
             lambda acted: _wrapped(
                 verdict_cases.refined,
                 "refine",
