@@ -139,14 +139,15 @@ def _wrapped(owner: Any, name: str, acted: Acted, changed: Callable[[Any, tuple[
 
 # --- running ----------------------------------------------------------------------------------------------
 def sample(count: int = USUAL_SAMPLE) -> list[tuple[str, int]]:
-    """(part, number) of the sample: of each part every k-th case, k odd because parts alternate."""
-    chosen = []
+    """(part, number) of the sample: of each part every k-th case, k odd because parts alternate. First one of
+    each part, then another one of each: a run that was stopped has some of all."""
+    rounds = []
     for part, share in SAMPLE.items():
         wanted = max(1, round(share * count / USUAL_SAMPLE))
         cases = SEALED if part in DIRTY else COUNTS[part]
         step = max(1, cases // wanted - 1 + cases // wanted % 2)
-        chosen += [(part, step // 2 + step * k) for k in range(wanted)]
-    return chosen
+        rounds += [(k, part, step // 2 + step * k) for k in range(wanted)]
+    return [(part, number) for _, part, number in sorted(rounds, key=lambda one: one[0])]
 
 
 def run(folder: Path, count: int = USUAL_SAMPLE) -> None:
