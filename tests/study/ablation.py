@@ -289,7 +289,8 @@ def page(cases: Sequence[dict[str, Any]]) -> str:
     usual = [case["with"] for case in cases]
     counts = ", ".join(f"{sum(r['part'] == part for r in usual)} {part}" for part in SAMPLE)
     made = (
-        f"\nCode {code(usual)}. Sample: {counts}; {sum(map(_clean, usual))} cases whose causes can be named,"
+        f"\nCode {code(usual)}. Sample, {len(usual)} cases: {counts};"
+        f" {sum(map(_clean, usual))} whose causes can be named,"
         f" {sum(len(dirty.large_causes([r])) for r in usual)} large causes on dirty machines. All of it takes"
         f" {sum(r['cpu'] for r in usual):.0f} s with everything.\n"
     )
