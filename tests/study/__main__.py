@@ -4,13 +4,16 @@ PYTHONPATH=tests:. python -m study run   --out FOLDER [--shard 1/2] [--jobs 2] [
 PYTHONPATH=tests:. python -m study table --out FOLDER [--page docs/studies/diagnosis_study.md]
 PYTHONPATH=tests:. python -m study misses --out FOLDER
 PYTHONPATH=tests:. python -m study goals --out FOLDER
+PYTHONPATH=tests:. python -m study ablation --out FOLDER [--sample 43] [--page docs/studies/ablation.md]
 
-The parts dirty, background and unknown are run when asked for, and their sealed numbers with --sealed only.
+The parts dirty, background, unknown and fresh are run when asked for; of the first three the sealed numbers
+with --sealed only. What comes out of fresh is counted, and must never lead to a rule.
 """
 
 import argparse
 from pathlib import Path
 
+from . import ablation
 from .cases import COUNTS, USUAL
 from .dirty import goals
 from .page import markdown, misses
@@ -27,7 +30,7 @@ def shard(text: str) -> tuple[int, int]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     commands = parser.add_subparsers(required=True, dest="command")
-    for name in ("run", "table", "misses", "goals"):
+    for name in ("run", "table", "misses", "goals", "ablation"):
         command = commands.add_parser(name)
         command.add_argument("--out", type=Path, required=True, metavar="FOLDER")
         if name == "run":
@@ -38,22 +41,29 @@ def main() -> None:
             command.add_argument(
                 "--sealed", action="store_true", help="the sealed numbers of dirty, background and unknown"
             )
-        if name == "table":
+        if name == "ablation":
+            command.add_argument("--sample", type=int, default=ablation.USUAL_SAMPLE, help="cases, about")
+        if name in ("table", "ablation"):
             command.add_argument(
                 "--page", type=Path, metavar="PAGE.md", help="write there, not to the screen"
             )
     given = parser.parse_args()
-    if given.command == "run":
-        try:
+    try:
+        if given.command == "run":
             run(given.out, given.shard, given.jobs, given.part, given.every, given.sealed)
-        except ValueError as error:
-            parser.exit(2, f"study: {error}\n")
-        return
-    found = records(given.out)
-    if not found:
-        parser.exit(2, f"study: no results in {given.out}; run the study first\n")
-    text = {"misses": misses, "goals": goals}.get(given.command, markdown)(found)
-    if given.command == "table" and given.page is not None:
+            return
+        if given.command == "ablation":
+            ablation.run(given.out, given.sample)
+    except ValueError as error:
+        parser.exit(2, f"study: {error}\n")
+    if given.command == "ablation":
+        text = ablation.page(ablation.results(given.out))
+    else:
+        found = records(given.out)
+        if not found:
+            parser.exit(2, f"study: no results in {given.out}; run the study first\n")
+        text = {"misses": misses, "goals": goals}.get(given.command, markdown)(found)
+    if given.command in ("table", "ablation") and given.page is not None:
         given.page.write_text(text, encoding="utf-8")
     else:
         print(text, end="")

@@ -13,12 +13,23 @@
   large causes, by itself, and under a large law that no catalogue lists (planting/dirty). Their numbers
   below SEALED are for development and may lead to rules; those from SEALED on are sealed: they are run to
   count, and no rule comes from looking at one.
+- fresh: machines drawn as for `drawn`, of one to seven joints; one, two or three causes, nothing, or one
+  cause that is struck, in the shares FRESH_KINDS. It is run to count what the diagnosis reaches on machines
+  that no rule has seen, at any commit; its outcome must never lead to a rule.
+
+Seeds. What a case is follows from a generator seeded with its part's name and its number. A drawn robot
+follows from a number, too: `drawn` has 0 to 159, planting/dirty 1000 to 99999, single tests a few below 1000;
+fresh has FRESH_ROBOTS + its number, 1000000 to 1001009. The seed of a machine's numbers, motion and noise
+lies below FRESH_SEEDS = 2^30 in every other part, and from there to 2^31 in fresh. The last TRIALS numbers of
+fresh, 1000 to 1009, are there to see that it works: they are never counted.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 from zlib import crc32
 
 import numpy as np
@@ -37,8 +48,8 @@ from planting import (
     read_robot,
     robot_file,
 )
-from planting.cases import INEXACT, Case, met_by
-from planting.catalogue import DRY_MOTOR, TWO_JOINTS
+from planting.cases import AFTER_FIRST, INEXACT, Case, met_by
+from planting.catalogue import DRY_MOTOR, LATER, TWO_JOINTS, WITH_STATE
 from planting.dirty.dirty import dirty
 from planting.drawn import in_logarithm
 from planting.machine.sensing import CURRENT
@@ -46,6 +57,7 @@ from planting.sizes import MET_EFFECTS, STEP_EFFECTS, nominal, usual_effect, usu
 
 EFFECTS = tuple(CATALOGUE)
 EVERY = (*EFFECTS, *BEYOND)
+ALL = (*EVERY, *LATER)
 PLANTED = {"single": EFFECTS, "struck": EFFECTS, "beyond": tuple(BEYOND)}
 PER_EFFECT = {"single": 12, "struck": 4, "beyond": 12}
 COUNTS = {
@@ -59,10 +71,12 @@ COUNTS = {
     "dirty": 400,
     "background": 400,
     "unknown": 400,
+    "fresh": 1000,
 }
+TRIALS = 10  # numbers of fresh beyond those that count
 DIRTY = {"dirty": "causes", "background": "background", "unknown": "unknown"}  # kinds of planting.dirty
 SEALED = 200
-USUAL = tuple(part for part in COUNTS if part not in DIRTY)  # what `make study` runs
+USUAL = tuple(part for part in COUNTS if part not in (*DIRTY, "fresh"))  # what `make study` runs
 SMALLEST = 0.02  # of the usual size: most effects are then below the noise
 
 ROBOT_SHARES = {"lever": 0.2, "turret": 0.18, "crane": 0.24, "scara": 0.16, "gimbal": 0.18, "reach": 0.04}
@@ -80,6 +94,12 @@ DRAWN_KINDS = {"off": 0.5, "exact": 0.3, "loose": 0.2}  # of nominal models
 LOOSE = 0.05  # and off by as much as the loose ones say
 DRAWN_RATES = {1000.0: 0.2, 500.0: 0.3, 250.0: 0.2, 200.0: 0.15, 125.0: 0.15}
 DRAWN_SECONDS = (5.0, 16.0)
+FRESH_KINDS = {"single": 0.35, "double": 0.2, "triple": 0.1, "healthy": 0.25, "struck": 0.1}
+TOGETHER = {"double": 2, "triple": 3}  # causes on one machine
+FRESH_JOINTS = {1: 0.16, 2: 0.22, 3: 0.2, 4: 0.14, 5: 0.1, 6: 0.1, 7: 0.08}
+MANY_JOINTS = 5  # from which a recording is short and slow, for the duration of the study:
+MANY_RATE, MANY_SECONDS = 250.0, 10.0  # Hz and s at most
+FRESH_ROBOTS, FRESH_SEEDS = 1_000_000, 2**30
 POSITION_NOISE, VELOCITY_NOISE = (3e-6, 2e-4), (1e-3, 2e-2)  # rad, rad/s
 TORQUE_NOISE = (5e-4, 8e-3)  # of a joint's torque limit
 ENCODER_BITS = (14, 20)
@@ -138,11 +158,11 @@ ENCODER_CONSTANTS = {"link_encoder_offset", "motor_encoder_offset", "spring_prel
 BY_CURRENT = {"torque_delay", "torque_saturation", "current_lag", "torque_speed_limit", "joint_coupling"}
 CHANGES_IN_TIME = ("friction_drift", "breakaway_friction")  # by themselves: none sets in late
 SHOWN: dict[str, set[str]] = {
-    "no torque sensor": set(EVERY) - TORQUE_SENSOR,
+    "no torque sensor": set(ALL) - TORQUE_SENSOR,
     "motor side only": MOTOR_EFFECTS | {"payload"},
     "link side only": LINK_EFFECTS,
-    "torque from current": set(EVERY) - BY_CURRENT,  # which the current shows
-    "unknown offsets": set(EVERY) - ENCODER_CONSTANTS,
+    "torque from current": set(ALL) - BY_CURRENT,  # which the current shows
+    "unknown offsets": set(ALL) - ENCODER_CONSTANTS,
 }
 """Effects that leave a mark of their own in what a set of sensors records (default: all)."""
 
@@ -179,12 +199,14 @@ def make(part: str, number: int) -> StudyCase:
         "several": _several,
         "beyond": _beyond,
         "drawn": _any_robot,
+        "fresh": _fresh,
         **{part: partial(_dirty, part) for part in DIRTY},
     }
     if part not in makers:
         raise ValueError(f"unknown part {part!r}; there are {', '.join(makers)}")
-    if not 0 <= number < COUNTS[part]:
-        raise ValueError(f"{part} has cases 0 to {COUNTS[part] - 1}, got {number}")
+    count = COUNTS[part] + (TRIALS if part == "fresh" else 0)
+    if not 0 <= number < count:
+        raise ValueError(f"{part} has cases 0 to {count - 1}, got {number}")
     return makers[part](number, np.random.default_rng([crc32(part.encode()), number]))
 
 
@@ -230,20 +252,28 @@ def _double(number: int, rng: np.random.Generator) -> StudyCase:
         for e in EFFECTS
         if e not in STEP_EFFECTS and e in SHOWN.get(sensors, EFFECTS) and _sits_on(e, robot)
     ]
-    while True:
-        first, second = (str(e) for e in rng.choice(pool, 2, replace=False))
-        places = rng.permutation(joints) if rng.random() < 0.7 else [str(rng.choice(joints))] * 2
-        at = [str(places[k % len(places)]) for k in range(2)]
-        related = any({first, second} <= set(group) for group in (*TWINS, DRY_MOTOR))
-        vertical = any(
-            e == "payload" and j == joints[0] != joints[-1] for e, j in zip((first, second), at, strict=True)
-        )
-        if not vertical and not (related and at[0] == at[1]):
-            break
+    (first, second), at = _beside_each_other(2, pool, joints, rng)
     excitation = str(rng.choice(["rich", "rich", usual_excitation(first), usual_excitation(second)]))
     planted = tuple(usual_effect(e, robot, j, rng, size) for e, j in zip((first, second), at, strict=True))
     case = _case("double", number, robot, excitation, sensors, rng)
     return _with("double", number, case, planted, sensors, size, rng)
+
+
+def _beside_each_other(
+    count: int, pool: Sequence[str], joints: Sequence[str], rng: np.random.Generator
+) -> tuple[list[str], list[str]]:
+    """Effects of a pool, on joints of their own or on one, that can be told apart there."""
+    while True:
+        effects = [str(e) for e in rng.choice(pool, count, replace=False)]
+        places = rng.permutation(joints) if rng.random() < 0.7 else [str(rng.choice(joints))] * count
+        at = [str(places[k % len(places)]) for k in range(count)]
+        placed = list(zip(effects, at, strict=True))
+        related = any(
+            j == other_j and any({e, other} <= set(group) for group in (*TWINS, DRY_MOTOR, WITH_STATE))
+            for (e, j), (other, other_j) in combinations(placed, 2)
+        )
+        if not related and not any(e in AFTER_FIRST and j == joints[0] != joints[-1] for e, j in placed):
+            return effects, at
 
 
 def _several(number: int, rng: np.random.Generator) -> StudyCase:
@@ -282,13 +312,41 @@ def _healthy(number: int, rng: np.random.Generator) -> StudyCase:
 
 
 def _any_robot(number: int, rng: np.random.Generator) -> StudyCase:
+    case, sensors = _any_machine(f"drawn-{number:04d}", f"drawn_{number}", rng)
+    if number % DRAWN_HEALTHY == 0:
+        return StudyCase("drawn", number, case, sensors, 0.0)
+    case, size = _with_any_cause(case, _shown(EVERY, sensors, case.robot), rng)
+    return StudyCase("drawn", number, case, sensors, round(size, 4))
+
+
+def _fresh(number: int, rng: np.random.Generator) -> StudyCase:
+    kind = _drawn(FRESH_KINDS, rng)
+    joints = int(rng.choice(list(FRESH_JOINTS), p=list(FRESH_JOINTS.values())))
+    robot = f"drawn_{FRESH_ROBOTS + number}_of{joints}"
+    # with all sensors, what amounts to a struck effect is known (score.STRUCK_EQUIVALENTS)
+    case, sensors = _any_machine(f"fresh-{number:04d}", robot, rng, "full" if kind == "struck" else None)
+    case = replace(case, seed=FRESH_SEEDS + case.seed)
+    if joints >= MANY_JOINTS:
+        case = replace(case, rate=min(case.rate, MANY_RATE), seconds=min(case.seconds, MANY_SECONDS))
+    pool, size = _shown(ALL, sensors, case.robot), 0.0
+    if kind in ("single", "struck"):
+        case, size = _with_any_cause(case, pool, rng)
+    elif kind in TOGETHER:
+        case, size = _with_causes(case, TOGETHER[kind], pool, rng)
+    struck = tuple(p.effect for p in case.effects) if kind == "struck" else ()
+    return StudyCase("fresh", number, case, sensors, round(size, 4), struck)
+
+
+def _any_machine(
+    name: str, robot: str, rng: np.random.Generator, sensors: str | None = None
+) -> tuple[Case, str]:
+    """A drawn robot as its file says it or off by what is said, its motion and its sensors (default: any)."""
     kind = _drawn(DRAWN_KINDS, rng)
-    robot = f"drawn_{number}" + {"off": "", "exact": "_exact", "loose": "_loose"}[kind]
-    joints = read_robot(robot_file(robot)).joints
+    robot += {"off": "", "exact": "_exact", "loose": "_loose"}[kind]
     known = {name: share for name, share in SENSOR_SHARES.items() if name != "unknown offsets"}
-    sensors = _drawn(known, rng)
+    sensors = sensors or _drawn(known, rng)
     case = Case(
-        f"drawn-{number:04d}",
+        name,
         robot,
         str(rng.choice(EXCITATIONS)),
         (),
@@ -298,18 +356,39 @@ def _any_robot(number: int, rng: np.random.Generator) -> StudyCase:
         round(in_logarithm(rng, *DRAWN_SECONDS), 1),
         float(rng.choice(list(DRAWN_RATES), p=list(DRAWN_RATES.values()))),
     )
-    if number % DRAWN_HEALTHY == 0:
-        return StudyCase("drawn", number, case, sensors, 0.0)
-    shown = [e for e in EVERY if e in SHOWN.get(sensors, EVERY) and _sits_on(e, robot)]
-    effect, size = str(rng.choice(shown)), in_logarithm(rng, *DRAWN_SIZE)
-    joint = str(rng.choice(joints[1:] if effect == "payload" and len(joints) > 1 else joints))
+    return case, sensors
+
+
+def _shown(effects: Sequence[str], sensors: str, robot: str) -> list[str]:
+    """Those that leave a mark of their own in what the sensors of a robot record."""
+    return [e for e in effects if e in SHOWN.get(sensors, ALL) and _sits_on(e, robot)]
+
+
+def _with_any_cause(case: Case, pool: Sequence[str], rng: np.random.Generator) -> tuple[Case, float]:
+    """The case with one cause of any size, and that size."""
+    joints = nominal(case.robot).joints
+    effect, size = str(rng.choice(pool)), in_logarithm(rng, *DRAWN_SIZE)
+    joint = str(rng.choice(joints[1:] if effect in AFTER_FIRST and len(joints) > 1 else joints))
     if rng.random() < USUAL_EXCITATION:
         case = replace(case, excitation=usual_excitation(effect))
     if effect in MET_EFFECTS:
         planted = met_by(case, effect, joint, size, None, rng)
     else:
-        planted = usual_effect(effect, robot, joint, rng, size)
-    return StudyCase("drawn", number, replace(case, effects=(planted,)), sensors, round(size, 4))
+        planted = usual_effect(effect, case.robot, joint, rng, size)
+    return replace(case, effects=(planted,)), size
+
+
+def _with_causes(case: Case, count: int, pool: Sequence[str], rng: np.random.Generator) -> tuple[Case, float]:
+    """The case with several causes of one relative size; none is of MET_EFFECTS, whose sizes follow from the
+    motion without the others."""
+    size = in_logarithm(rng, *DOUBLE_SIZE)
+    effects, at = _beside_each_other(
+        count, [e for e in pool if e not in MET_EFFECTS], nominal(case.robot).joints, rng
+    )
+    if rng.random() < USUAL_EXCITATION:
+        case = replace(case, excitation=usual_excitation(str(rng.choice(effects))))
+    planted = tuple(usual_effect(e, case.robot, j, rng, size) for e, j in zip(effects, at, strict=True))
+    return replace(case, effects=planted), size
 
 
 def _dirty(part: str, number: int, _rng: np.random.Generator) -> StudyCase:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from .cases import DIRTY, SEALED
 from .score import GROUPS, Record, main_parameter
 from .summary import Rate, by, of, rate, seconds
+from .text import table
 
 NAMED = 0.8  # probability from which a large cause counts as named
 SURER = 0.95  # two bands of stated probability: NAMED to SURER, and above
@@ -192,8 +193,8 @@ def told(key: str, records: Sequence[Record], found: Rate) -> str:
     return f"{found.hits}/{found.cases}{share}"
 
 
-def section(records: Sequence[Record], table: Callable[..., str]) -> str:
-    """The page's section, empty where no dirty machine was run; `table` lays one out."""
+def section(records: Sequence[Record]) -> str:
+    """The page's section, empty where no dirty machine was run."""
     held = [r for r in records if r["part"] in DIRTY]
     if not held:
         return ""

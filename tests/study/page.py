@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from datetime import date
 from typing import Any
 
 import numpy as np
 
-from . import dirty, summary
+from . import dirty, fresh, summary
 from .cases import COUNTS, DIRTY, USUAL
 from .score import (
     DETECTABLE,
@@ -24,6 +24,7 @@ from .score import (
     struck_outcome,
 )
 from .summary import Rate
+from .text import code, percent, rate_text, table
 
 NEAR = 1.2  # times the error that no model comes below: the goal on fresh data
 
@@ -60,10 +61,10 @@ APART = ("beyond", "drawn")  # parts that figures over several parts leave out
 
 def markdown(records: Sequence[Record]) -> str:
     """The page."""
-    every, records = records, [r for r in records if r["part"] not in DIRTY]
+    every, records = records, [r for r in records if r["part"] in USUAL]
     if not records:
-        return HEAD + dirty.section(every, table)
-    parts = [HEAD, _made(records), _headline(records)]
+        return HEAD + fresh.section(every) + dirty.section(every)
+    parts = [HEAD, _made(records), _headline(records), fresh.section(every)]
     first = _first(records)
     words = {"single": OUTCOME_WORDS, "beyond": BEYOND_WORDS, "drawn": DRAWN_WORDS}
     titles = {
@@ -89,40 +90,16 @@ def markdown(records: Sequence[Record]) -> str:
         _parameters(first),
         _fresh(first),
         _times(first),
-        dirty.section(every, table),
+        dirty.section(every),
     ]
     return "".join(parts)
-
-
-def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
-    lines += [f"| {' | '.join(map(str, row))} |" for row in rows]
-    return "\n" + "\n".join(lines) + "\n"
-
-
-def _percent(share: float) -> str:
-    return "" if math.isnan(share) else f"{100 * share:.1f} %"
-
-
-def _rate(rate: Rate) -> str:
-    low, high = rate.interval
-    return f"{rate.hits}/{rate.cases} = {_percent(rate.share)} ({100 * low:.1f} to {100 * high:.1f})"
-
-
-def _code(records: Sequence[Record]) -> str:
-    """The versions of the code; where there are several, with the parts that each has run."""
-    versions = sorted({r["version"] for r in records})
-    if len(versions) < 2:
-        return "".join(versions)
-    ran = {v: Counter(r["part"] for r in records if r["version"] == v) for v in versions}
-    return "; ".join(f"{v} ({', '.join(f'{n} {part}' for part, n in ran[v].items())})" for v in versions)
 
 
 def _made(records: Sequence[Record]) -> str:
     counts = ", ".join(f"{len(summary.of(records, p))} of {COUNTS[p]} {p}" for p in USUAL)
     joints = sorted({r["joints"] for r in records})
     return (
-        f"Tables of {date.today().isoformat()}, code {_code(records)}. Cases: {counts}; robots of"
+        f"Tables of {date.today().isoformat()}, code {code(records)}. Cases: {counts}; robots of"
         f" {', '.join(map(str, joints))} joints.\n"
     )
 
@@ -134,23 +111,25 @@ def _headline(records: Sequence[Record]) -> str:
         seen = [r for r in summary.of(records, part) if r["truth"] and detectable(r)]
         if seen:
             what = f"{part} causes with excess above {DETECTABLE}"
-            rows.append((f"{what}: exact", _rate(summary.rate(seen, lambda r: outcome(r) == "exact")), ""))
-            rows.append((f"{what}: exact or tied", _rate(summary.rate(seen, summary.named)), goal))
+            rows.append(
+                (f"{what}: exact", rate_text(summary.rate(seen, lambda r: outcome(r) == "exact")), "")
+            )
+            rows.append((f"{what}: exact or tied", rate_text(summary.rate(seen, summary.named)), goal))
     seen = [r for r in summary.of(records, "double") if each_detectable(r)]
     if seen:
         what = f"double causes, each with excess above {DETECTABLE} beside the other: exact or tied"
-        rows.append((what, _rate(summary.rate(seen, summary.named)), "90 %"))
+        rows.append((what, rate_text(summary.rate(seen, summary.named)), "90 %"))
     for part, what in (("healthy", "healthy machines"), ("drawn", "healthy machines drawn at random")):
         healthy = [r for r in summary.of(records, part) if not r["truth"]]
         if healthy:
-            rows.append((f"{what} alarmed", _rate(summary.rate(healthy, summary.alarmed)), "1 %"))
+            rows.append((f"{what} alarmed", rate_text(summary.rate(healthy, summary.alarmed)), "1 %"))
     struck = summary.of(records, "struck")
     if struck:
         wrong = summary.rate(struck, lambda r: struck_outcome(r) == "wrong")
-        rows.append(("true effect struck: confident wrong name", _rate(wrong), "0"))
+        rows.append(("true effect struck: confident wrong name", rate_text(wrong), "0"))
     errors = summary.relative_errors(_with_causes(records))
     if errors.size:
-        rows.append(("error of the main parameter, median", _percent(float(np.median(errors))), "2 %"))
+        rows.append(("error of the main parameter, median", percent(float(np.median(errors))), "2 %"))
     if first := _first(records):
         rows.append(("seconds a case, median", f"{summary.seconds(first)[1]:.2f}", "5"))
     return "\n## In short\n" + table(("what", "measured", "goal"), rows)
@@ -172,7 +151,7 @@ def _detection(records: Sequence[Record]) -> str:
             counts = summary.outcomes(inside)
             between = f"{'below' if low == summary.EXCESS_EDGES[0] else f'{low:g} to'} {high:g}"
             between = f"above {low:g}" if math.isinf(high) else between
-            named = _rate(summary.rate(inside, summary.named))
+            named = rate_text(summary.rate(inside, summary.named))
             rows.append((between, len(inside), *(counts[o] or "" for o in OUTCOMES), named))
     return "\nBy excess:\n" + table(("excess", "cases", *OUTCOMES, "exact or tied"), rows)
 
@@ -193,7 +172,7 @@ def _breakdown(records: Sequence[Record]) -> str:
     for title, group in groups.items():
         for name, inside in summary.by(seen, group).items():
             exact = summary.rate(inside, lambda r: outcome(r) == "exact")
-            rows.append((title, name, _rate(exact), _rate(summary.rate(inside, summary.named))))
+            rows.append((title, name, rate_text(exact), rate_text(summary.rate(inside, summary.named))))
     heads = ("", "", "exact", "exact or tied")
     return f"\nCases with excess above {DETECTABLE}, by what they are:\n" + table(heads, rows)
 
@@ -232,12 +211,12 @@ def _healthy(healthy: Sequence[Record], title: str) -> str:
         "sensors": lambda r: r["sensors"],
         "excitation": lambda r: r["excitation"],
     }
-    rows: list[Sequence[object]] = [("all", "", _rate(summary.rate(healthy, summary.alarmed)), "")]
+    rows: list[Sequence[object]] = [("all", "", rate_text(summary.rate(healthy, summary.alarmed)), "")]
     for kind, group in groups.items():
         for name, inside in summary.by(healthy, group).items():
             verdicts = Counter(r["verdict"] for r in inside if summary.alarmed(r))
             told = ", ".join(f"{v} {n}" for v, n in verdicts.most_common())
-            rows.append((kind, name, _rate(summary.rate(inside, summary.alarmed)), told))
+            rows.append((kind, name, rate_text(summary.rate(inside, summary.alarmed)), told))
     names = Counter(f["effect"] for r in healthy for f in r.get("findings", ()))
     told = ", ".join(f"{name} {count}" for name, count in names.most_common()) or "none"
     heads = ("", "", "called anything but healthy", "verdicts")
@@ -267,7 +246,7 @@ def _struck(records: Sequence[Record]) -> str:
 def _reliability(records: Sequence[Record]) -> str:
     known = [r for r in records if r["part"] != "struck"]
     rows = [
-        (f"{a:g} to {b:g}", count, f"{mean:.3f}" if count else "", _rate(right) if count else "")
+        (f"{a:g} to {b:g}", count, f"{mean:.3f}" if count else "", rate_text(right) if count else "")
         for a, b, count, mean, right in summary.reliability(known)
     ]
     heads = ("stated probability", "findings", "mean stated", "name was the truth")
@@ -287,7 +266,7 @@ def _parameters(records: Sequence[Record]) -> str:
         if errors.size and scaled.size:
             covers = [Rate(int(np.sum(scaled <= k)), scaled.size) for k in (1, 2)]
             middle, high = np.quantile(errors, [0.5, 0.9])
-            rows.append((name, errors.size, _percent(middle), _percent(high), *map(_rate, covers)))
+            rows.append((name, errors.size, percent(middle), percent(high), *map(rate_text, covers)))
     heads = (
         "nominal model",
         "causes",
@@ -309,7 +288,7 @@ def _fresh(records: Sequence[Record]) -> str:
     for name, inside in summary.by(known, _nominal).items():
         middle = (f"{x:.3g}" for x in np.median([r["fresh"] for r in inside], axis=0))
         close = summary.rate(inside, lambda r: r["fresh"][1] <= NEAR * r["fresh"][2])
-        rows.append((name, len(inside), *middle, _rate(close)))
+        rows.append((name, len(inside), *middle, rate_text(close)))
     heads = (
         "nominal model",
         "cases",
@@ -345,7 +324,7 @@ def misses(records: Sequence[Record]) -> str:
             bad, said = dirty.missed(r), r["verdict"]
         elif not r["truth"]:
             bad, said = summary.alarmed(r), r["verdict"]
-        elif r["part"] == "struck":
+        elif r["excluded"]:
             said = struck_outcome(r)
             bad = said in ("wrong", "unsure", "healthy", "failed")
         else:

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from planting import Planted, robot_file
+from planting.cases import Case
 from planting.dirty.case import Dirty
 from support.diagnose_cases import as_recording
 
@@ -76,8 +77,20 @@ def version() -> str:
 
 
 # --- one case ---------------------------------------------------------------------------------------------
-def diagnosed(case: StudyCase) -> dict[str, Any]:
-    """The case as one record: what was planted, what was said, what it cost."""
+@dataclass(frozen=True)
+class Prepared:
+    """A case with its recordings made, ready to be diagnosed; `record` says what was planted."""
+
+    case: StudyCase
+    machine: Case
+    nominal: Robot
+    recordings: tuple[Recording, ...]
+    payloads: tuple[KnownPayload | None, ...]
+    record: dict[str, Any]
+
+
+def prepared(case: StudyCase) -> Prepared:
+    """The case with what its machine records."""
     started = time.perf_counter()
     record: dict[str, Any] = {
         "part": case.part,
@@ -98,7 +111,7 @@ def diagnosed(case: StudyCase) -> dict[str, Any]:
     recording = as_recording(recorded, case.name)
     if isinstance(case.case, Dirty):
         record |= case.case.measured(recorded)
-    recordings, payloads = [recording], [None, *([_known(case.load)] if case.load else [None])]
+    recordings = [recording]
     if case.second is not None:
         recordings.append(as_recording(case.second.fresh(), f"{case.name}, second"))
         record["second"] = f"{case.second.excitation}, {'known payload' if case.load else 'no payload'}"
@@ -106,27 +119,43 @@ def diagnosed(case: StudyCase) -> dict[str, Any]:
     record["joints"] = len(nominal.joints)
     record["planting"] = round(time.perf_counter() - started, 3)
     record["excess"] = excess(nominal, recording)
-    if case.part == "double":
+    if len(case.case.effects) > 1 and not isinstance(case.case, Dirty):
         record["least_excess"] = least_excess(nominal, recording, case.case.effects)
+    payloads = (None, _known(case.load) if case.load else None)[: len(recordings)]
+    return Prepared(case, machine, nominal, tuple(recordings), payloads, record)
+
+
+def diagnosed(case: StudyCase) -> dict[str, Any]:
+    """The case as one record: what was planted, what was said, what it cost."""
+    ready = prepared(case)
+    nominal, record, found = ready.nominal, *said_of(ready)
+    simulated = case.part in ("single", "double") and case.number % FRESH == 0 and not case.hidden
+    if simulated and found is not None and found.findings:
+        fresh = as_recording(ready.machine.fresh(), case.name)
+        record["fresh"] = _on_fresh_data(nominal, found, case, fresh)
+    return record
+
+
+def said_of(ready: Prepared, refine: bool = True) -> tuple[dict[str, Any], Diagnosis | None]:
+    """The record with what the diagnosis says, and the diagnosis; None where there was an error."""
+    record = ready.record
     started = time.perf_counter()
     try:
         found = diagnose(
-            nominal,
-            recordings,
-            excluded=_struck(case.excluded),
-            payloads=payloads[: len(recordings)],
+            ready.nominal,
+            ready.recordings,
+            excluded=_struck(ready.case.excluded),
+            payloads=ready.payloads,
+            refine=refine,
             workers=1,  # cases beside each other take the cores
         )
     except FlexJointError as error:
-        return {**record, "diagnosis": time.perf_counter() - started, "verdict": "error", "error": str(error)}
+        failed = {"verdict": "error", "error": str(error)}
     except Exception:  # a bug of the product: the study goes on and shows it
-        told = traceback.format_exc(limit=-4)
-        return {**record, "diagnosis": time.perf_counter() - started, "verdict": "crash", "error": told}
-    record |= {"diagnosis": round(time.perf_counter() - started, 3), **_said(found)}
-    simulated = case.part in ("single", "double") and case.number % FRESH == 0 and not case.hidden
-    if simulated and found.findings:
-        record["fresh"] = _on_fresh_data(nominal, found, case, as_recording(machine.fresh(), case.name))
-    return record
+        failed = {"verdict": "crash", "error": traceback.format_exc(limit=-4)}
+    else:
+        return {**record, "diagnosis": round(time.perf_counter() - started, 3), **_said(found)}, found
+    return {**record, "diagnosis": time.perf_counter() - started, **failed}, None
 
 
 def _struck(effects: Sequence[str]) -> frozenset[str]:

@@ -60,7 +60,7 @@ def matches(record: Record) -> list[Match]:
     found: Sequence[Record] = record.get("findings", ())
     out: list[Match] = []
     for truth in record["truth"]:
-        own = [f for f in found if key(f) == key(truth) or _for_all(f, truth, record)]
+        own = [f for f in found if is_name_of(f, truth, record)]
         ties = [f for f in found if list(key(truth)) in f["ties"]]
         equal = [f for f in found if f["joint"] == truth["joint"] and _same(f["effect"], truth["effect"])]
         kinds = (("exact", own), ("tied", ties), ("equivalent", equal))
@@ -72,9 +72,10 @@ def matches(record: Record) -> list[Match]:
     return out
 
 
-def _for_all(finding: Record, truth: Record, record: Record) -> bool:
-    """A cause of the robot's only joint is one of the robot."""
-    return record["joints"] == 1 and finding["effect"] == truth["effect"] and finding["joint"] is None
+def is_name_of(finding: Record, truth: Record, record: Record) -> bool:
+    """Whether a finding is a planted cause by name; one of the robot's only joint is one of the robot."""
+    of_robot = record["joints"] == 1 and finding["effect"] == truth["effect"] and finding["joint"] is None
+    return key(finding) == key(truth) or of_robot
 
 
 def _same(one: str, other: str) -> bool:
@@ -152,7 +153,7 @@ def detectable(record: Record) -> bool:
 
 
 def each_detectable(record: Record) -> bool:
-    """Whether each of two causes is there to be named beside the other."""
+    """Whether each of several causes is there to be named beside the others."""
     return (record.get("least_excess") or 0.0) > DETECTABLE
 
 
@@ -167,7 +168,7 @@ def struck_outcome(record: Record) -> str:
     if verdict in ("error", "crash"):
         return "failed"
     (truth,) = record["truth"]
-    names = [f for f in record["findings"] if not _equivalent(f, truth)]
+    names = [f for f in record["findings"] if not equivalent(f, truth)]
     if any(f["probability"] >= SURE for f in names) and verdict == "causes":
         return "wrong"
     if verdict in ("unexplained", "healthy", "refused"):
@@ -175,7 +176,8 @@ def struck_outcome(record: Record) -> str:
     return "unsure" if names else "equivalent"
 
 
-def _equivalent(finding: Record, truth: Record) -> bool:
+def equivalent(finding: Record, truth: Record) -> bool:
+    """Whether a finding is what a struck effect amounts to."""
     effect = finding["effect"]
     same = _same(effect, truth["effect"]) or effect in STRUCK_EQUIVALENTS.get(truth["effect"], ())
     return same and (finding["joint"] == truth["joint"] or None in (finding["joint"], truth["joint"]))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import beta, binomtest
 
 from .score import (
     OUTCOMES,
@@ -17,7 +17,7 @@ from .score import (
     Record,
     deviations,
     false_names,
-    key,
+    is_name_of,
     main_error,
     matches,
     outcome,
@@ -47,6 +47,11 @@ class Rate:
         low = float(beta.ppf(tail, k, n - k + 1)) if k > 0 else 0.0
         high = float(beta.ppf(1 - tail, k + 1, n - k)) if k < n else 1.0
         return low, high
+
+    @property
+    def wilson(self) -> tuple[float, float]:
+        """The interval of Wilson (1927)."""
+        return tuple(binomtest(self.hits, self.cases).proportion_ci(CONFIDENCE, method="wilson"))
 
 
 def of(records: Iterable[Record], part: str) -> list[Record]:
@@ -95,7 +100,7 @@ def by_excess(records: Sequence[Record]) -> list[tuple[float, float, list[Record
 def stated(records: Sequence[Record]) -> tuple[np.ndarray, np.ndarray]:
     """Stated probability of every finding, and whether its name was the truth."""
     pairs = [
-        (f["probability"], any(key(f) == key(t) for t in r["truth"]))
+        (f["probability"], any(is_name_of(f, t, r) for t in r["truth"]))
         for r in records
         for f in r.get("findings", ())
     ]
