@@ -18,8 +18,12 @@ from typing import Any
 from unittest.mock import patch
 
 from flexjoint.diagnosis import pipeline
+from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.verdict import cases as verdict_cases
 from flexjoint.diagnosis.verdict import checks
+from flexjoint.diagnosis.verdict.friction import FRICTION
+from flexjoint.diagnosis.verdict.joint_by_joint import Stage
+from flexjoint.diagnosis.verdict.joint_search import JOINT_SEARCH
 
 from . import dirty
 from .cases import COUNTS, DIRTY, SEALED, StudyCase, make
@@ -69,11 +73,8 @@ def pieces() -> tuple[Piece, ...]:
             lambda acted: _wrapped(pipeline, "search_robustly", acted, lambda out, _: out is not None),
             lambda: patch.object(pipeline, "search_robustly", lambda *_: None),
         ),
-        Piece(
-            "stage: ordinary friction",
-            lambda acted: _wrapped(pipeline, "with_friction", acted, lambda out, given: out is not given[0]),
-            lambda: patch.object(pipeline, "with_friction", lambda selection, *_: selection),
-        ),
+        _of_stage("stage: ordinary friction", FRICTION),
+        _of_stage("stage: each joint searched by itself", JOINT_SEARCH),
         Piece(
             "belief: the simulation needs it",
             lambda acted: _wrapped(verdict_cases, "by_simulation", acted, lambda out, _: out > 0.0),
@@ -121,6 +122,22 @@ def _of_check(check: checks.Check[Any]) -> Piece:
         f"check: {check.name}",
         lambda acted: _wrapped(type(check), "objections", acted, lambda out, _: bool(out)),
         without,
+    )
+
+
+def _of_stage(name: str, stage: Stage) -> Piece:
+    """One of the stages that look at each joint by itself."""
+    usual = pipeline.joint_by_joint
+
+    def without(selection: Selection, candidates: Any, asked: Stage, *given: Any) -> Selection:
+        return selection if asked is stage else usual(selection, candidates, asked, *given)
+
+    return Piece(
+        name,
+        lambda acted: _wrapped(
+            pipeline, "joint_by_joint", acted, lambda out, given: given[2] is stage and out is not given[0]
+        ),
+        lambda: patch.object(pipeline, "joint_by_joint", without),
     )
 
 

@@ -13,6 +13,8 @@ from study.cases import COUNTS, DIRTY, SEALED
 
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.verdict import checks
+from flexjoint.diagnosis.verdict.friction import FRICTION
+from flexjoint.diagnosis.verdict.joint_search import JOINT_SEARCH
 
 
 def finding(effect: str, probability: float, joint: str = "swing") -> dict[str, Any]:
@@ -47,11 +49,15 @@ def test_every_check_is_left_out_by_itself() -> None:
 
 def test_a_stage_tells_when_it_changes_something(monkeypatch: pytest.MonkeyPatch) -> None:
     acted: list[str] = []
+    monkeypatch.setattr(pipeline, "joint_by_joint", lambda selection, *_: selection or "found")
     piece = next(p for p in pieces() if p.name == "stage: ordinary friction")
-    monkeypatch.setattr(pipeline, "with_friction", lambda selection, *_: selection or "found")
     with piece.watched(lambda: acted.append("did")):
-        assert pipeline.with_friction("selection", ()) == "selection" and not acted
-        assert pipeline.with_friction("", ()) == "found" and acted == ["did"]
+        assert pipeline.joint_by_joint("selection", (), FRICTION) == "selection" and not acted
+        assert pipeline.joint_by_joint("", (), JOINT_SEARCH) == "found" and not acted
+        assert pipeline.joint_by_joint("", (), FRICTION) == "found" and acted == ["did"]
+    with piece.without():
+        assert pipeline.joint_by_joint("", (), FRICTION) == ""
+        assert pipeline.joint_by_joint("", (), JOINT_SEARCH) == "found"
 
 
 def test_the_sample_is_fixed_and_of_every_part() -> None:
