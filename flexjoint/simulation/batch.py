@@ -1,7 +1,8 @@
 """Many rollouts in one call, on all cores: other parameters, start states, gains or inputs in each.
 
-Compiled rollouts run in threads (the C code holds no lock), the pin loop in processes. A result does not
-depend on how many there are.
+Compiled rollouts run in threads (the C code holds no lock), in each as many side by side as the processor's
+registers hold (8 with AVX-512, 4 with AVX, else 2); the pin loop runs in processes. A rollout's result does not
+depend on how many there are of these, nor on what the others are.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def rollouts(
         parameters: (B,) numbers by name, as `parameter_names` lists them.
         every: keep every such row; None keeps summaries only, and memory is flat in N.
         workers: default one per core.
-        progress: called with the share of the rollouts that are done and
+        progress: called with the share of the rollouts that are done, after each or a few, and
             what they are, e.g. `flexjoint.report.terminal.Progress()`.
 
     Raises:
@@ -205,6 +206,9 @@ class _One:
     failed: int
 
 
+_Task = tuple[tuple[int, ...], Callable[..., list[_One]], tuple[Any, ...]]  # of rollouts at these places
+
+
 def _run(
     work: _Work,
     starts: Sequence[State],
@@ -228,24 +232,37 @@ def _run(
     if find(options.scheme).adaptive:
         loop = loop if adaptive(model, total, options) is model else replace(options, engine="compiled")
     else:
-        compiled = choose(model, total, options, work.law, work.references)
+        many = not find(options.scheme).newton
+        compiled = choose(model, total, options, work.law, work.references, many)
     if options.scheme != DEFAULT:
         for start, item in zip(starts, numbered, strict=True):
             other = FlexibleJointModel(*item, springs=model.springs) if item else model
             check_stability(other, start, 1.0 / work.rate, options.scheme)
-    tasks: list[tuple[Any, ...]] = []
-    for start, drive, law, item in zip(starts, drives, laws, numbered, strict=True):
-        if compiled is None:
+    tasks: list[_Task] = []
+    given = list(zip(starts, drives, laws, numbered, strict=True))
+    if compiled is None:
+        for k, (start, drive, law, item) in enumerate(given):
             robot, effects = item or (model.robot, model.effects)
             timing = (work.references, every, work.steps)
-            tasks.append((_Alone(loop, robot, effects, model.springs, start, law, drive, *timing),))
-        else:
-            tasks.append((compiled, _job(compiled, model, work.steps, start, drive, law, item), every))
+            alone = _Alone(loop, robot, effects, model.springs, start, law, drive, *timing)
+            tasks.append(((k,), _by_pin, (alone,)))
+    else:
+        jobs = [_job(compiled, model, work.steps, *one) for one in given]
+        for places in _side_by_side(jobs, compiled.lanes):
+            tasks.append((places, _by_c, (compiled, [jobs[k] for k in places], every)))
     if model.springs and compiled is None:
         workers = 1  # functions of time do not travel to other processes
     with _executor(compiled, workers, total) as executor:
-        done = _in_order(executor, _by_pin if compiled is None else _by_c, tasks, progress)
+        done = _in_order(executor, tasks, count, progress)
     return _gathered(work, starts, done)
+
+
+def _side_by_side(jobs: Sequence[Job], lanes: int) -> list[tuple[int, ...]]:
+    """Places of jobs that run side by side: they begin at one time."""
+    at: dict[float, list[int]] = {}
+    for k, job in enumerate(jobs):
+        at.setdefault(job.t, []).append(k)
+    return [tuple(own[k : k + lanes]) for own in at.values() for k in range(0, len(own), lanes)]
 
 
 def _job(
@@ -265,13 +282,19 @@ def _job(
     )
 
 
-def _by_c(compiled: CompiledModel, job: Job, every: int | None) -> _One:
-    rows = compiled.run(job, stride=every or -1, summary=True)
-    assert rows.summary is not None  # it was asked for
-    return _One(rows.states, rows.tau_m, rows.final, rows.summary, rows.failed)
+def _by_c(compiled: CompiledModel, jobs: Sequence[Job], every: int | None) -> list[_One]:
+    found = []
+    for rows in compiled.run_all(jobs, stride=every or -1, summary=True):
+        assert rows.summary is not None  # it was asked for
+        found.append(_One(rows.states, rows.tau_m, rows.final, rows.summary, rows.failed))
+    return found
 
 
-def _by_pin(work: _Alone) -> _One:
+def _by_pin(work: _Alone) -> list[_One]:
+    return [_looped(work)]
+
+
+def _looped(work: _Alone) -> _One:
     model, n = FlexibleJointModel(work.robot, work.effects, springs=work.springs), len(work.robot.joints)
     drive = work.drive
     references = {name: drive[:, k * n : (k + 1) * n] for k, name in enumerate(work.references)}
@@ -330,22 +353,28 @@ def _executor(compiled: CompiledModel | None, workers: int | None, steps: int) -
 
 
 def _in_order(
-    executor: Executor | None,
-    task: Callable[..., _One],
-    tasks: Sequence[tuple[Any, ...]],
-    progress: Progress | None,
+    executor: Executor | None, tasks: Sequence[_Task], count: int, progress: Progress | None
 ) -> list[_One]:
     report: Progress = progress or (lambda _share, _what: None)
-    results: list[_One | None] = [None] * len(tasks)
+    results: list[_One | None] = [None] * count
+    finished = 0
+
+    def note(places: tuple[int, ...], found: list[_One]) -> None:
+        nonlocal finished
+        for place, one in zip(places, found, strict=True):
+            results[place] = one
+        finished += len(places)
+        report(finished / count, "rollouts")
+
     if executor is None:
-        for k, arguments in enumerate(tasks):
-            results[k] = task(*arguments)
-            report((k + 1) / len(tasks), "rollouts")
+        for places, task, arguments in tasks:
+            note(places, task(*arguments))
     else:
-        places: dict[Future[_One], int] = {executor.submit(task, *a): k for k, a in enumerate(tasks)}
-        for count, future in enumerate(as_completed(places)):
-            results[places[future]] = future.result()
-            report((count + 1) / len(tasks), "rollouts")
+        running: dict[Future[list[_One]], tuple[int, ...]] = {
+            executor.submit(task, *arguments): places for places, task, arguments in tasks
+        }
+        for future in as_completed(running):
+            note(running[future], future.result())
     return [result for result in results if result is not None]
 
 

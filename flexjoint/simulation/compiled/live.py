@@ -97,7 +97,7 @@ class LiveRun:
 
     def _take(self, end: int, values: np.ndarray) -> None:
         run, compiled = self._run, self._compiled
-        failed = compiled.take_steps(run, values, self.done, end)
+        (failed,) = compiled.take_steps(run, [values], self.done, end)
         if failed < 0:
             self.done = end
         elif run.worst >= 0:
