@@ -1,8 +1,8 @@
 """Many rollouts in one call, on all cores: other parameters, start states, gains or inputs in each.
 
 Compiled rollouts run in threads (the C code holds no lock), in each as many side by side as the processor's
-registers hold (8 with AVX-512, 4 with AVX, else 2); the pin loop runs in processes. A rollout's result does not
-depend on how many there are of these, nor on what the others are.
+registers hold (8 with AVX-512, 4 with AVX, else 2); the pin loop runs in processes. A rollout's result
+depends neither on how many there are of these, nor on what the others are.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from flexjoint.core.errors import SimulationError, unknown
 from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel, State
-from flexjoint.model.parameters import model_parameters, numbers, renumbered
+from flexjoint.model.parameters import model_parameters, renumbered
 from flexjoint.model.springs import VariableSpring
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.compiled import CompiledModel, Job
@@ -239,15 +239,14 @@ def _run(
             other = FlexibleJointModel(*item, springs=model.springs) if item else model
             check_stability(other, start, 1.0 / work.rate, options.scheme)
     tasks: list[_Task] = []
-    given = list(zip(starts, drives, laws, numbered, strict=True))
     if compiled is None:
-        for k, (start, drive, law, item) in enumerate(given):
+        for k, (start, drive, law, item) in enumerate(zip(starts, drives, laws, numbered, strict=True)):
             robot, effects = item or (model.robot, model.effects)
             timing = (work.references, every, work.steps)
             alone = _Alone(loop, robot, effects, model.springs, start, law, drive, *timing)
             tasks.append(((k,), _by_pin, (alone,)))
     else:
-        jobs = [_job(compiled, model, work.steps, *one) for one in given]
+        jobs = _jobs(compiled, work, starts, drives, laws, changes)
         for places in _side_by_side(jobs, compiled.lanes):
             tasks.append((places, _by_c, (compiled, [jobs[k] for k in places], every)))
     if model.springs and compiled is None:
@@ -257,29 +256,40 @@ def _run(
     return _gathered(work, starts, done)
 
 
+def _jobs(
+    compiled: CompiledModel,
+    work: _Work,
+    starts: Sequence[State],
+    drives: Sequence[np.ndarray],
+    laws: Sequence[Law | None],
+    changes: Sequence[Mapping[str, float]],
+) -> list[Job]:
+    nominal = compiled.values(work.model)
+    places = {name: k for k, name in enumerate(parameter_names(work.model))}
+    jobs = []
+    for start, drive, law, change in zip(starts, drives, laws, changes, strict=True):
+        values = nominal.copy()
+        for name, value in change.items():
+            values[places[name]] = value
+        jobs.append(
+            Job(
+                row=row_of(work.model, start),
+                t=float(start.t),
+                values=values,
+                drive=drive,
+                gains=compiled.gains(law),
+                steps=work.steps,
+            )
+        )
+    return jobs
+
+
 def _side_by_side(jobs: Sequence[Job], lanes: int) -> list[tuple[int, ...]]:
     """Places of jobs that run side by side: they begin at one time."""
     at: dict[float, list[int]] = {}
     for k, job in enumerate(jobs):
         at.setdefault(job.t, []).append(k)
     return [tuple(own[k : k + lanes]) for own in at.values() for k in range(0, len(own), lanes)]
-
-
-def _job(
-    compiled: CompiledModel,
-    model: FlexibleJointModel,
-    steps: int,
-    start: State,
-    drive: np.ndarray,
-    law: Law | None,
-    item: tuple[Robot, tuple[Planned, ...]] | None,
-) -> Job:
-    robot, effects = item or (model.robot, model.effects)
-    values = numbers(model_parameters(robot, effects, compiled.free))
-    gains = compiled.gains(law)
-    return Job(
-        row=row_of(model, start), t=float(start.t), values=values, drive=drive, gains=gains, steps=steps
-    )
 
 
 def _by_c(compiled: CompiledModel, jobs: Sequence[Job], every: int | None) -> list[_One]:

@@ -67,7 +67,9 @@ def _turned_once(lines: Sequence[str]) -> list[str]:
 
 
 def aligned(*shape: int) -> np.ndarray:
-    """An array that is not set, at an address that every register takes."""
+    """An array (..., lanes) that is not set, at an address that every register takes."""
+    if shape[-1] == 1:  # doubles lie anywhere, and this is quicker
+        return np.empty(shape)
     size = 8 * math.prod(shape)
     raw = np.empty(size + ALIGNED, np.uint8)
     begin = -raw.ctypes.data % ALIGNED
@@ -76,6 +78,8 @@ def aligned(*shape: int) -> np.ndarray:
 
 def side_by_side(rows: Sequence[np.ndarray], lanes: int) -> np.ndarray:
     """(..., lanes) of arrays of equal shape, one for each lane; the last one fills those that are left."""
+    if lanes == 1:
+        return np.ascontiguousarray(rows[0], dtype=float)[..., np.newaxis]
     out = aligned(*rows[0].shape, lanes)
     for lane in range(lanes):
         out[..., lane] = rows[min(lane, len(rows) - 1)]

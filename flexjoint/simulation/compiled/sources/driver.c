@@ -43,12 +43,20 @@ typedef struct {
   double t_start, t, h;         /* [s] time at the start, at step `begin`, of a step */
 } fj_run;
 
-/* A row of doubles of each lane. */
-static void fj_spread(const double *row, fj_int lane_step, fj_int count, fj_real *out) {
+/* A row of each lane as numbers: `row` itself where there is one lane, else in `room`. */
+static const fj_real *fj_given(const double *row, fj_int lane_step, fj_int count, fj_real *room) {
+#ifdef FJ_MANY
   fj_int i;
   int lane;
   for (lane = 0; lane < FJ_LANES; lane++)
-    for (i = 0; i < count; i++) FJ_AT(out, i, lane) = row[lane * lane_step + i];
+    for (i = 0; i < count; i++) room[i][lane] = row[lane * lane_step + i];
+  return room;
+#else
+  (void)lane_step;
+  (void)count;
+  (void)room;
+  return row;
+#endif
 }
 
 static void fj_keep(const fj_real *row, fj_int count, fj_int lane_step, double *out) {
@@ -85,11 +93,12 @@ static void fj_true(const fj_run *run, fj_int row, fj_real *y) {
 
 static void fj_command(const fj_run *run, fj_int k, fj_real *tau) {
   const fj_real *arg[5];
-  fj_real *res[1], y[FJ_NY + 1], reference[FJ_NR + 1], time;
+  fj_real *res[1], y[FJ_NY + 1], room[FJ_NR + 1], time;
   fj_int row = run->first + k, i;
   int lane;
   if (run->torque) {
-    fj_spread(run->torque + k * FJ_NU, run->drive_lane, FJ_NU, tau);
+    const fj_real *given = fj_given(run->torque + k * FJ_NU, run->drive_lane, FJ_NU, tau);
+    if (given != tau) memcpy(tau, given, FJ_NU * sizeof(fj_real));
     return;
   }
   if (k && fj_last(run, k) == fj_last(run, k - 1)) {
@@ -104,10 +113,9 @@ static void fj_command(const fj_run *run, fj_int k, fj_real *tau) {
   } else {
     fj_true(run, row, y);
   }
-  fj_spread(run->reference + fj_last(run, k) * run->reference_step, run->drive_lane, FJ_NR, reference);
   time = fj_all(run->t_start + run->h * (double)k);
   arg[0] = y;
-  arg[1] = reference;
+  arg[1] = fj_given(run->reference + fj_last(run, k) * run->reference_step, run->drive_lane, FJ_NR, room);
   arg[2] = run->gains;
   arg[3] = run->constants;
   arg[4] = &time;
@@ -116,8 +124,9 @@ static void fj_command(const fj_run *run, fj_int k, fj_real *tau) {
 }
 
 static void fj_sum_up(const fj_run *run, fj_int k, const fj_real *x, const fj_real *tau, double t) {
-  const fj_real *arg[4];
-  fj_real *res[1], o[FJ_NO + 1], wanted[FJ_NU], time = fj_all(t);
+  const fj_real *arg[4], *wanted;
+  fj_real o[FJ_NO + 1];
+  fj_real *res[1], room[FJ_NU], time = fj_all(t);
   fj_real *least = run->summary, *largest = least + FJ_NO, *sum = largest + FJ_NO, *squares = sum + FJ_NO;
   fj_int i;
   arg[0] = x;
@@ -127,14 +136,14 @@ static void fj_sum_up(const fj_run *run, fj_int k, const fj_real *x, const fj_re
   res[0] = o;
   fj_observe(arg, res, 0, 0, 0); /* q, dq, theta, dtheta, tau_t of the actuated joints */
   memcpy(o + 5 * FJ_NU, tau, FJ_NU * sizeof(fj_real));
-  memcpy(wanted, o, sizeof wanted);
+  wanted = o;
   if (run->q_ref >= 0 && !run->torque)
-    fj_spread(run->reference + fj_last(run, k) * run->reference_step + run->q_ref, run->drive_lane, FJ_NU,
-              wanted);
+    wanted = fj_given(run->reference + fj_last(run, k) * run->reference_step + run->q_ref, run->drive_lane,
+                      FJ_NU, room);
   for (i = 0; i < FJ_NU; i++) o[6 * FJ_NU + i] = wanted[i] - o[i];
   for (i = 0; i < FJ_NO; i++) {
-    least[i] = fj_pick(fj_is(o[i] < least[i]), o[i], least[i]);
-    largest[i] = fj_pick(fj_is(o[i] > largest[i]), o[i], largest[i]);
+    least[i] = fj_pick(o[i] < least[i], o[i], least[i]);
+    largest[i] = fj_pick(o[i] > largest[i], o[i], largest[i]);
     sum[i] += o[i];
     squares[i] += o[i] * o[i];
   }

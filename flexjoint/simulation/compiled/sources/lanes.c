@@ -2,7 +2,8 @@
    registers hold, each (a lane) of a rollout of its own. No lane sees another one. Generated code and the other
    files are written in fj_real; what C has for doubles only, comparisons and functions, is here by lanes.
 
-   A logical value is 1.0 or 0.0 in generated code, as CasADi has it, and a mask of all bits or none elsewhere. */
+   A logical value is 1.0 or 0.0 in generated code, as CasADi has it; elsewhere a fj_mask, of a lane all bits or
+   none. */
 
 #include <math.h>
 #include <stdint.h>
@@ -14,11 +15,11 @@
 #define FJ_LANES 1
 #define FJ_AT(x, i, lane) ((x)[i])
 typedef double fj_real;
-typedef long long fj_mask;
-#define fj_is(condition) (-(fj_mask)(condition))
+typedef int fj_mask;
+#define FJ_NOT(mask) (!(mask))
 static inline double fj_all(double x) { return x; }
 static inline double fj_pick(fj_mask mask, double yes, double no) { return mask ? yes : no; }
-static inline int fj_any(fj_mask mask) { return mask != 0; }
+static inline int fj_any(fj_mask mask) { return mask; }
 static inline double fj_abs(double x) { return fabs(x); }
 #else
 
@@ -32,7 +33,7 @@ static inline double fj_abs(double x) { return fabs(x); }
 #define FJ_AT(x, i, lane) ((x)[i][lane])
 typedef double fj_real __attribute__((vector_size(8 * FJ_LANES)));
 typedef long long fj_mask __attribute__((vector_size(8 * FJ_LANES)));
-#define fj_is(condition) (condition)
+#define FJ_NOT(mask) (~(mask))
 
 static inline fj_real fj_all(double x) { return (fj_real){0.0} + x; }
 static inline fj_mask fj_bits(fj_real x) {

@@ -17,8 +17,8 @@ static fj_real fj_missed_by(const fj_real *v_mid, const fj_real *guess, fj_real 
   int i;
   for (i = FJ_TURNING; i < FJ_NV; i++) {
     fj_real off = fj_abs(v_mid[i] - guess[i]), speed = fj_abs(v_mid[i]);
-    error = fj_pick(fj_is(off <= error), error, off); /* what is not a number stays, and has missed */
-    most = fj_pick(fj_is(speed > most), speed, most);
+    error = fj_pick(off <= error, error, off); /* what is not a number stays, and has missed */
+    most = fj_pick(speed > most, speed, most);
   }
   *scale = most;
   return error;
@@ -55,7 +55,7 @@ static fj_mask fj_put_right(const fj_real **given, fj_mask wanted, const fj_real
   res[0] = right;
   fj_right(arg, res, 0, work, 0);
   for (i = 0; i < FJ_NV; i++) next[FJ_NQ + i] = fj_pick(wanted, right[i], next[FJ_NQ + i]);
-  return fj_is(right[FJ_NV] != 0.0);
+  return right[FJ_NV] != 0.0;
 }
 
 /* As a generated step: arg = {x, tau_m, c, t}, res = {state row}. Returns 0. */
@@ -76,7 +76,7 @@ static int fj_step(const fj_real **given, fj_real **result, long long *integers,
   fj_pass(arg, res, 0, work, 0);
   if (FJ_ALONE) return 0;
   error = fj_missed_by(v_mid, guess, &scale);
-  repeated = active = ~fj_is(error <= FJ_MISSED * scale);
+  repeated = active = FJ_NOT(error <= FJ_MISSED * scale);
   arg[4] = guess;
   res[0] = again;
   res[1] = again_mid;
@@ -89,12 +89,12 @@ static int fj_step(const fj_real **given, fj_real **result, long long *integers,
     missed = fj_missed_by(v_mid, guess, &its_scale);
     error = fj_pick(active, missed, error);
     scale = fj_pick(active, its_scale, scale);
-    active &= ~fj_is(error <= FJ_STAYS * scale) & fj_is(error <= FJ_GROWS * before);
+    active &= FJ_NOT(error <= FJ_STAYS * scale) & (error <= FJ_GROWS * before);
   }
-  good = fj_is(error <= FJ_MISSED * scale);
+  good = error <= FJ_MISSED * scale;
   right = FJ_FREE ? good : good & repeated;
-  last = ~good;
-  if (fj_any(right)) last |= right & ~fj_put_right(given, right, v_mid, next, work);
+  last = FJ_NOT(good);
+  if (fj_any(right)) last |= right & FJ_NOT(fj_put_right(given, right, v_mid, next, work));
   if (fj_any(last)) {
     memset(guess, 0, sizeof guess);
     fj_pass(arg, res, 0, work, 0);
