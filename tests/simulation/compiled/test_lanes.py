@@ -88,7 +88,7 @@ def test_every_effect_is_the_same_side_by_side(planned: Planned) -> None:
     batch_is_the_single_runs(robot, [planned])
 
 
-@pytest.mark.parametrize("name", [*shipped_robots(), "ur5", "centauro"])
+@pytest.mark.parametrize("name", sorted({*shipped_robots(), "ur5", "centauro"}))
 def test_every_robot_is_the_same_side_by_side(name: str) -> None:
     robot = {"ur5": ur5, "centauro": centauro}[name]() if name in ("ur5", "centauro") else load(name)
     batch_is_the_single_runs(robot, None, physics_rate(robot), seconds=0.2)
@@ -145,7 +145,7 @@ def test_contacts_are_the_same_side_by_side() -> None:
 # ------------------------------------------------------------------ steps that are repeated
 def ringing() -> tuple[FlexibleJointModel, list[State]]:
     """An arm that floats with springs that next to nothing damps: one that rings much, little, not at all."""
-    stiff = {name: {"stiffness": 2e7, "damping": 0.0, "motor_damping": 0.0} for name in JOINTS}
+    stiff = {name: {"stiffness": 2e9, "damping": 0.0, "motor_damping": 0.0} for name in JOINTS}
     model = FlexibleJointModel(make(SPATIAL, stiff, base="floating", gravity=[0.0, 0.0, 0.0]), [])
     starts = [model.rest() for _ in range(3)]
     for start, size in zip(starts, (2e-2, 1e-4, 0.0), strict=True):
@@ -231,7 +231,7 @@ def test_lanes_are_what_the_processor_has_and_give_the_same_bits(monkeypatch: py
     for march in ("native", "x86-64-v3", "x86-64"):
         if march == "x86-64-v3" and native == 2:
             continue
-        flags = tuple(flag for flag in compiler.FLAGS if "march" not in flag) + (f"-march={march}",)
+        flags = (*(flag for flag in compiler.FLAGS if "march" not in flag), f"-march={march}")
         monkeypatch.setattr(compiler, "FLAGS", flags)
         monkeypatch.setattr(cache, "FLAGS", flags)
         compiled = CompiledModel(model, options(1000.0), many=True)
@@ -300,8 +300,8 @@ def test_every_operation_of_expressions_is_the_same_in_lanes() -> None:
         ca.floor(a), ca.ceil(a), ca.copysign(a, b), ca.atan2(a, b), ca.fabs(a) ** b, a**3, 1 / a, -a, a / 3,
         ca.sqrt(ca.fabs(a)), ca.exp(small), ca.log(ca.fabs(a)), ca.log1p(ca.fabs(a)), ca.expm1(small),
         ca.tan(small), ca.asin(small), ca.acos(small), ca.atan(a), ca.sinh(small), ca.cosh(small), ca.tanh(a),
-        ca.asinh(a), ca.acosh(1 + ca.fabs(a)), ca.atanh(small), ca.erf(a), ca.hypot(a, b), ca.cos(a) * ca.sin(a),
-        ca.sin(a + b) + ca.cos(a + b), called(x), ca.fmin(a, ca.inf), 3, a * 1e22, b - 2.5e-7,
+        ca.asinh(a), ca.acosh(1 + ca.fabs(a)), ca.atanh(small), ca.erf(a), ca.hypot(a, b), 3, a * 1e22,
+        ca.cos(a) * ca.sin(a), ca.sin(a + b) + ca.cos(a + b), called(x), ca.fmin(a, ca.inf), b - 2.5e-7,
     )  # fmt: skip
     function = ca.Function("fj_all_operations", [x], [out])
     count = function.numel_out(0)
