@@ -31,6 +31,7 @@ from flexjoint.simulation.loop import REFERENCES, Ticks, check_references
 from flexjoint.simulation.options import DEFAULTS, RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout
 from flexjoint.simulation.schemes import DEFAULT, find
+from flexjoint.simulation.schemes.midpoint import warn_of_order_one
 from flexjoint.simulation.schemes.stability import check_stability
 from flexjoint.simulation.sensors import true_signals
 from flexjoint.simulation.trajectory import Trajectory
@@ -197,13 +198,14 @@ class _Alone:
 
 @dataclass(frozen=True)
 class _One:
-    """What one rollout leaves; sums (4, 7 n) as the compiled driver has them."""
+    """What one rollout leaves; sums (4, 7 n) and lost as the compiled driver has them."""
 
     x: np.ndarray
     tau_m: np.ndarray
     final: np.ndarray
     sums: np.ndarray
     failed: int
+    lost: tuple[float, float] | None = None
 
 
 _Task = tuple[tuple[int, ...], Callable[..., list[_One]], tuple[Any, ...]]  # of rollouts at these places
@@ -253,7 +255,15 @@ def _run(
         workers = 1  # functions of time do not travel to other processes
     with _executor(compiled, workers, total) as executor:
         done = _in_order(executor, tasks, count, progress)
+    _check_followed(work, done)
     return _gathered(work, starts, done)
+
+
+def _check_followed(work: _Work, done: Sequence[_One]) -> None:
+    """Warns of the rollout in which a link turned most within a step that did not follow its motion."""
+    lost = [one.lost for one in done if one.lost and one.failed < 0]
+    if lost:
+        warn_of_order_one(*max(lost, key=lambda one: one[1]), work.rate)
 
 
 def _jobs(
@@ -296,7 +306,7 @@ def _by_c(compiled: CompiledModel, jobs: Sequence[Job], every: int | None) -> li
     found = []
     for rows in compiled.run_all(jobs, stride=every or -1, summary=True):
         assert rows.summary is not None  # it was asked for
-        found.append(_One(rows.states, rows.tau_m, rows.final, rows.summary, rows.failed))
+        found.append(_One(rows.states, rows.tau_m, rows.final, rows.summary, rows.failed, rows.lost))
     return found
 
 

@@ -27,6 +27,7 @@ from flexjoint.simulation.controllers import Law
 from flexjoint.simulation.loop import Ticks, diverged, segments
 from flexjoint.simulation.options import DEFAULTS, RunOptions
 from flexjoint.simulation.schemes.implicit import not_converged
+from flexjoint.simulation.schemes.midpoint import warn_of_order_one
 from flexjoint.simulation.trajectory import Past, Trajectory
 
 RATES_FREE = ("drives",)  # numbers of the model that a compiled right-hand side takes as parameters
@@ -74,7 +75,8 @@ class DriverRun(ctypes.Structure):
                 "kept_lane",
             )
         ),
-        ("failed", ctypes.c_longlong * MOST),
+        *((name, ctypes.c_longlong * MOST) for name in ("failed", "lost")),
+        ("turned", ctypes.c_double * MOST),
         *((name, ctypes.c_double) for name in ("t_start", "t", "h")),
     )
 
@@ -110,7 +112,8 @@ class Rows:
     """What a run leaves: states (R, row) and commands (R, n) of the kept rows (of the whole tape, where all
     are kept, with the `first` ones before the start); final (row,); summary (4, observed): least, largest,
     sum and sum of squares over the steps; failed: the step that left the finite numbers, or did not converge
-    (worst is the place of its worst unknown then, else -1), or -1."""
+    (worst is the place of its worst unknown then, else -1), or -1; lost: the time [s] of the first step that
+    did not follow its motion, and the most [rad] by which a link turned within such a step."""
 
     states: np.ndarray
     tau_m: np.ndarray
@@ -119,6 +122,7 @@ class Rows:
     first: int
     failed: int
     worst: int = -1
+    lost: tuple[float, float] | None = None
 
 
 class CompiledModel:
@@ -274,6 +278,7 @@ class CompiledModel:
                 first=first if whole else 0,
                 failed=failed[lane],
                 worst=run.worst,
+                lost=lost_by(run, lane),
             )
             found.append(rows)
         return found
@@ -320,6 +325,8 @@ class CompiledModel:
         if rows.worst >= 0:
             at = float(time[rows.first + rows.failed])
             raise not_converged(model, at, 1.0 / self.rate, rows.worst)
+        if rows.lost and rows.failed < 0:
+            warn_of_order_one(*rows.lost, self.rate)
         if rows.failed >= 0:
             taken = slice(rows.first, rows.first + rows.failed + 2)
             finite = np.isfinite(v[taken]).all(axis=1) & np.isfinite(dtheta[taken]).all(axis=1)
@@ -392,6 +399,13 @@ class RatesProgram:
 def row_of(model: FlexibleJointModel, state: State) -> np.ndarray:
     """(row,) of a numeric state."""
     return np.concatenate([model.pack(state), state.acc, state.ddtheta, state.tau_rigid])
+
+
+def lost_by(run: DriverRun, lane: int) -> tuple[float, float] | None:
+    """When a run no longer followed its motion; see Rows."""
+    if not run.lost[lane]:
+        return None
+    return run.t_start + run.h * (run.lost[lane] - 1), run.turned[lane]
 
 
 def _delays(symbolic: SymbolicModel, program: Program) -> ca.Function:

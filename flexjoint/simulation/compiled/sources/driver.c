@@ -40,6 +40,8 @@ typedef struct {
   fj_int fill;                  /* whether the first command also holds before the start */
   fj_int drive_lane, kept_lane; /* from a lane's torques or references, and kept rows, to the next one's */
   fj_int failed[FJ_MOST];       /* out: of each lane the step after which it was not finite, or -1 */
+  fj_int lost[FJ_MOST];         /* out: of each lane 1 + the first step that did not follow its motion, or 0 */
+  double turned[FJ_MOST];       /* out: the most [rad] by which a link turned within such a step */
   double t_start, t, h;         /* [s] time at the start, at step `begin`, of a step */
 } fj_run;
 
@@ -166,6 +168,23 @@ static int fj_watch(fj_run *run, const fj_real *x, fj_int k) {
   return left;
 }
 
+#ifdef FJ_FOLLOWED
+/* Notes steps k of order 1, from x, in which a link turns by more than FJ_FOLLOWED. */
+static void fj_lose(fj_run *run, fj_int k, const fj_real *x, fj_int lanes) {
+  int lane, i;
+  for (lane = 0; lane < FJ_LANES; lane++) {
+    double turned = 0.0;
+    if (!(lanes >> lane & 1)) continue;
+    for (i = FJ_NQ + FJ_TURNING; i < FJ_NQ + FJ_NV; i++) turned = fmax(turned, run->h * fabs(FJ_AT(x, i, lane)));
+    if (!(turned > FJ_FOLLOWED && turned < INFINITY)) continue;
+    if (!run->lost[lane]) run->lost[lane] = k + 1;
+    run->turned[lane] = fmax(run->turned[lane], turned);
+  }
+}
+#else
+#define fj_lose(run, k, x, lanes)
+#endif
+
 static fj_int fj_steps(fj_run *run, fj_real *work) {
   const fj_real *arg[FJ_STEP_ARG];
   fj_real *res[FJ_STEP_RES], late[FJ_NU + 1], time;
@@ -208,7 +227,9 @@ static fj_int fj_steps(fj_run *run, fj_real *work) {
     arg[3] = &time;
     res[0] = next;
     failed = fj_step(arg, res, 0, work, 0);
-    if (failed) {
+    if (failed < 0) {
+      fj_lose(run, k, x, -failed);
+    } else if (failed) {
       memcpy(next, x, FJ_NX * sizeof(fj_real)); /* nothing after it: the state before the step stays */
       run->worst = failed - 1;
       return k;

@@ -14,6 +14,7 @@
 #ifndef FJ_MANY
 #define FJ_LANES 1
 #define FJ_AT(x, i, lane) ((x)[i])
+#define FJ_HAS(mask, lane) (mask)
 typedef double fj_real;
 typedef int fj_mask;
 #define FJ_NOT(mask) (!(mask))
@@ -31,6 +32,7 @@ static inline double fj_abs(double x) { return fabs(x); }
 #define FJ_LANES 2
 #endif
 #define FJ_AT(x, i, lane) ((x)[i][lane])
+#define FJ_HAS(mask, lane) ((mask)[lane] != 0)
 typedef double fj_real __attribute__((vector_size(8 * FJ_LANES)));
 typedef long long fj_mask __attribute__((vector_size(8 * FJ_LANES)));
 #define FJ_NOT(mask) (~(mask))

@@ -58,13 +58,14 @@ static fj_mask fj_put_right(const fj_real **given, fj_mask wanted, const fj_real
   return right[FJ_NV] != 0.0;
 }
 
-/* As a generated step: arg = {x, tau_m, c, t}, res = {state row}. Returns 0. */
+/* As a generated step: arg = {x, tau_m, c, t}, res = {state row}. Returns 0, or less the sum of 2^lane of
+   those whose step is of order 1. */
 static int fj_step(const fj_real **given, fj_real **result, long long *integers, fj_real *work, int memory) {
   const fj_real *arg[FJ_STEP_ARG], *x = given[0], *v = x + FJ_NQ, *acc = x + FJ_ACC;
   fj_real *next = result[0], *res[FJ_STEP_RES], guess[FJ_NV + 1], v_mid[FJ_NV + 1];
   fj_real again[FJ_NX], again_mid[FJ_NV + 1], error, missed, scale, its_scale, before;
   fj_mask repeated, active, good, right, last;
-  int round, i;
+  int round, i, lane, lanes = 0;
   (void)integers;
   (void)memory;
   memcpy(arg, given, 4 * sizeof(fj_real *));
@@ -101,6 +102,7 @@ static int fj_step(const fj_real **given, fj_real **result, long long *integers,
     fj_take(last, again, FJ_NX, next);
     fj_take(last, again_mid, FJ_NV + 1, v_mid);
     fj_put_right(given, last, v_mid, next, work);
+    for (lane = 0; lane < FJ_LANES; lane++) lanes |= FJ_HAS(last, lane) << lane;
   }
-  return 0;
+  return -lanes;
 }
