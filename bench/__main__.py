@@ -29,12 +29,13 @@ from flexjoint.simulation.batch import closed_loops
 from flexjoint.simulation.compiled import compiled_for
 from flexjoint.simulation.compiled.engine import job_of
 from flexjoint.simulation.controllers import MotorPD, law_of
+from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import Engine, RunOptions
-from flexjoint.simulation.rollout import closed_loop
+from flexjoint.simulation.rollout import closed_loop, rollout
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from support.robots.arms import PENDULUM, PLANAR, make
+from support.robots.arms import PENDULUM, PLANAR, make, waves
 from support.robots.example_robots import centauro, ur5
 
 RATE, CONTROL = 2000.0, 1000.0
@@ -42,6 +43,7 @@ SECONDS = 0.5  # of the motion whose error is measured
 FINE = 64_000.0  # steps per second of the tight solution
 CHUNK, ROUNDS = 2e-3, 250  # seconds a chunk lasts about; rounds of all contenders
 BATCH, BATCH_ROUNDS = 64, 15  # rollouts of a batch; rounds of all that run one
+ITERATING_ROUNDS = 20
 BATCHED = "implicitfast"  # MuJoCo's best stable integrator on CENTAURO
 SMALL = 6  # joints up to which explicit schemes of order 1 are stable at this rate
 RATES = {"physics": RATE, "control": CONTROL}
@@ -194,6 +196,46 @@ def report(name: str, robot: Robot, console: Console) -> None:
     )
 
 
+def iterating(name: str, console: Console) -> None:
+    """Processor time of a step of the schemes that iterate, under given torques, as the difference of a long
+    and a short run, and of live simulations under the robot's motor PD. In turn, each with its best round."""
+    model = FlexibleJointModel(ROBOTS[name]())
+    torque = waves(len(model.joints), 1100, RATE)
+    lengths = {"implicit_midpoint, compiled": (100, 1100)}  # steps of the short and of the long run
+    runs: dict[str, Callable[[], object]] = {}
+    steps: dict[str, int] = {}
+    engines: tuple[Engine, ...] = ("compiled", "pin")
+    for engine in engines:
+        for scheme in ("implicit_midpoint", "reference"):
+            options = RunOptions(rate=RATE, scheme=scheme, engine=engine)
+            label = f"{scheme}, {engine}"
+            for count in lengths.setdefault(label, (10, 40)):
+                runs[f"{label}, {count}"] = partial(rollout, model, model.rest(), torque[:count], options)
+        live = LiveSimulation(model, RunOptions(rate=RATE, engine=engine))
+        many = 1000 if engine == "compiled" else 20
+        runs[f"live, step({many}), {engine}"] = partial(live.step, many)
+        runs[f"live, step(), {engine}"] = partial(_one_by_one, live, 20)
+        steps |= {f"live, step({many}), {engine}": many, f"live, step(), {engine}": 20}
+    best = dict.fromkeys(runs, float("inf"))
+    for _ in range(ITERATING_ROUNDS + 1):
+        for label, run in runs.items():
+            begin = time.process_time()
+            run()
+            best[label] = min(best[label], time.process_time() - begin)
+    table = Table("", "us per step", title=f"{name}, processor time")
+    for label, (short, long) in lengths.items():
+        taken = (best[f"{label}, {long}"] - best[f"{label}, {short}"]) / (long - short)
+        table.add_row(label, f"{1e6 * taken:.3g}")
+    for label, count in steps.items():
+        table.add_row(label, f"{1e6 * best[label] / count:.3g}")
+    console.print(table)
+
+
+def _one_by_one(live: LiveSimulation, steps: int) -> None:
+    for _ in range(steps):
+        live.step()
+
+
 def batches(name: str, console: Console) -> None:
     """Throughput of a batch that keeps summaries, on one core and on all: side by side in the lanes of
     registers, one rollout after the other, and by MuJoCo's own `rollout`, which keeps all states. In turn,
@@ -246,6 +288,9 @@ def main() -> None:
     if len(sys.argv) == 1 or "batches" in sys.argv[1:]:
         for name in ("UR5", "CENTAURO"):
             batches(name, console)
+    if len(sys.argv) == 1 or "iterating" in sys.argv[1:]:
+        for name in ("two links", "UR5", "CENTAURO"):
+            iterating(name, console)
 
 
 if __name__ == "__main__":
