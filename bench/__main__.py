@@ -197,19 +197,27 @@ def report(name: str, robot: Robot, console: Console) -> None:
 
 
 def iterating(name: str, console: Console) -> None:
-    """Processor time of a step of the schemes that iterate, under given torques, as the difference of a long
-    and a short run, and of live simulations under the robot's motor PD. In turn, each with its best round."""
+    """Processor time of a step of the schemes that iterate, under given torques (where Python is in it, as
+    the difference of a long and a short run), and of live simulations under the robot's motor PD. In turn,
+    each with its best round."""
     model = FlexibleJointModel(ROBOTS[name]())
-    torque = waves(len(model.joints), 1100, RATE)
-    lengths = {"implicit_midpoint, compiled": (100, 1100)}  # steps of the short and of the long run
-    runs: dict[str, Callable[[], object]] = {}
-    steps: dict[str, int] = {}
+    torque = waves(len(model.joints), 1000, RATE)
+    newton = compiled_for(model, RunOptions(rate=RATE, scheme="implicit_midpoint"))
+    job = job_of(newton, model, model.rest(), None, torque)
+    runs: dict[str, Callable[[], object]] = {
+        "implicit_midpoint, compiled": partial(newton.run, job, stride=-1)
+    }
+    steps, pairs = {"implicit_midpoint, compiled": len(torque)}, []
+    short, long = 10, 40
     engines: tuple[Engine, ...] = ("compiled", "pin")
     for engine in engines:
         for scheme in ("implicit_midpoint", "reference"):
-            options = RunOptions(rate=RATE, scheme=scheme, engine=engine)
             label = f"{scheme}, {engine}"
-            for count in lengths.setdefault(label, (10, 40)):
+            if label in runs:
+                continue
+            pairs.append(label)
+            options = RunOptions(rate=RATE, scheme=scheme, engine=engine)
+            for count in (short, long):
                 runs[f"{label}, {count}"] = partial(rollout, model, model.rest(), torque[:count], options)
         live = LiveSimulation(model, RunOptions(rate=RATE, engine=engine))
         many = 1000 if engine == "compiled" else 20
@@ -223,7 +231,7 @@ def iterating(name: str, console: Console) -> None:
             run()
             best[label] = min(best[label], time.process_time() - begin)
     table = Table("", "us per step", title=f"{name}, processor time")
-    for label, (short, long) in lengths.items():
+    for label in pairs:
         taken = (best[f"{label}, {long}"] - best[f"{label}, {short}"]) / (long - short)
         table.add_row(label, f"{1e6 * taken:.3g}")
     for label, count in steps.items():
@@ -239,7 +247,7 @@ def _one_by_one(live: LiveSimulation, steps: int) -> None:
 def batches(name: str, console: Console) -> None:
     """Throughput of a batch that keeps summaries, on one core and on all: side by side in the lanes of
     registers, one rollout after the other, and by MuJoCo's own `rollout`, which keeps all states. In turn,
-    each with its best round."""
+    each with its best round; processor time on one core, time on all."""
     robot = ROBOTS[name]()
     model, law, n = FlexibleJointModel(robot), law_of(robot), len(robot.joints)
     table, options = references(n, SECONDS), RunOptions(rate=RATE, engine="compiled")
@@ -266,9 +274,10 @@ def batches(name: str, console: Console) -> None:
     best = dict.fromkeys(runs, float("inf"))
     for _ in range(BATCH_ROUNDS + 1):
         for label, run in runs.items():
-            begin = time.perf_counter()
+            clock = time.process_time if " 1 " in label else time.perf_counter
+            begin = clock()
             run()
-            best[label] = min(best[label], time.perf_counter() - begin)
+            best[label] = min(best[label], clock() - begin)
     table_of = Table(
         "", "times real time", "us per robot and step", title=f"{name}, {BATCH} rollouts of {SECONDS} s"
     )

@@ -154,6 +154,7 @@ def ringing() -> tuple[FlexibleJointModel, list[State]]:
     return model, starts
 
 
+@pytest.mark.filterwarnings("ignore:.*does not follow the motion")
 def test_a_step_that_falls_back_does_so_in_its_own_lane(monkeypatch: pytest.MonkeyPatch) -> None:
     model, starts = ringing()
     torque = np.zeros((60, 3))

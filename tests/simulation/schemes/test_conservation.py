@@ -23,6 +23,7 @@ from flexjoint.model.symbolic import SymbolicModel
 from flexjoint.robot.robot import Robot, build, load
 from flexjoint.robot.schema import parse
 from flexjoint.simulation.batch import rollouts
+from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import rollout
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES
@@ -176,12 +177,17 @@ def test_the_default_says_where_it_does_not_follow_the_motion(engine: str) -> No
         run(ROBOTS["UR5, K x 1e3"](), 1000.0, 0.1, engine=engine)
 
 
-def test_a_batch_says_so_too() -> None:
+def test_a_batch_and_a_live_simulation_say_so_too() -> None:
     model = FlexibleJointModel(ROBOTS["UR5, K x 1e5"](), [])
     starts = [model.rest(), released(model)]
     options = RunOptions(rate=1000.0, engine="compiled")
     with pytest.warns(StabilityWarning, match="does not follow the motion") as said:
         rollouts(model, starts, np.zeros((300, 6)), options)
+    assert len(said) == 1
+    live = LiveSimulation(model, options, start=released(model))
+    with pytest.warns(StabilityWarning, match="does not follow the motion") as said:
+        for _ in range(4):
+            live.step(100)
     assert len(said) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
