@@ -8,6 +8,7 @@ under control held at 1 kHz.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -28,18 +29,22 @@ from flexjoint.simulation.batch import closed_loops
 from flexjoint.simulation.compiled import compiled_for
 from flexjoint.simulation.compiled.engine import job_of
 from flexjoint.simulation.controllers import MotorPD, law_of
+from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import Engine, RunOptions
-from flexjoint.simulation.rollout import closed_loop
+from flexjoint.simulation.rollout import closed_loop, rollout
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from support.robots.arms import PENDULUM, PLANAR, make
+from support.robots.arms import PENDULUM, PLANAR, make, waves
 from support.robots.example_robots import centauro, ur5
 
 RATE, CONTROL = 2000.0, 1000.0
 SECONDS = 0.5  # of the motion whose error is measured
 FINE = 64_000.0  # steps per second of the tight solution
 CHUNK, ROUNDS = 2e-3, 250  # seconds a chunk lasts about; rounds of all contenders
+BATCH, BATCH_ROUNDS = 64, 15  # rollouts of a batch; rounds of all that run one
+ITERATING_ROUNDS = 20
+BATCHED = "implicitfast"  # MuJoCo's best stable integrator on CENTAURO
 SMALL = 6  # joints up to which explicit schemes of order 1 are stable at this rate
 RATES = {"physics": RATE, "control": CONTROL}
 ROBOTS: dict[str, Callable[[], Robot]] = {
@@ -191,30 +196,95 @@ def report(name: str, robot: Robot, console: Console) -> None:
     )
 
 
-def batches(console: Console) -> None:
-    """Throughput of a batch on one core and on all."""
-    robot = ROBOTS["CENTAURO"]()
-    model, law = FlexibleJointModel(robot), law_of(robot)
-    stiffness = {f"drive.{robot.joint_names[0]}.stiffness": np.linspace(1e3, 4e3, 64)}
-    table = references(len(robot.joints), SECONDS)
-    for workers in (1, None):
-        taken = []
-        for _ in range(5):
-            begin = time.perf_counter()
-            closed_loops(
-                model,
-                model.rest(),
-                law,
-                table,
-                RunOptions(rate=RATE, engine="compiled"),
-                parameters=stiffness,
-                workers=workers,
-            )
-            taken.append(time.perf_counter() - begin)
-        console.print(
-            f"CENTAURO, 64 rollouts of {SECONDS} s, summaries only, {workers or 'all'} worker(s):"
-            f" {64 * SECONDS / min(taken):.0f} times real time"
-        )
+def iterating(name: str, console: Console) -> None:
+    """Processor time of a step of the schemes that iterate, under given torques (where Python is in it, as
+    the difference of a long and a short run), and of live simulations under the robot's motor PD. In turn,
+    each with its best round."""
+    model = FlexibleJointModel(ROBOTS[name]())
+    torque = waves(len(model.joints), 1000, RATE)
+    newton = compiled_for(model, RunOptions(rate=RATE, scheme="implicit_midpoint"))
+    job = job_of(newton, model, model.rest(), None, torque)
+    runs: dict[str, Callable[[], object]] = {
+        "implicit_midpoint, compiled": partial(newton.run, job, stride=-1)
+    }
+    steps, pairs = {"implicit_midpoint, compiled": len(torque)}, []
+    short, long = 10, 40
+    engines: tuple[Engine, ...] = ("compiled", "pin")
+    for engine in engines:
+        for scheme in ("implicit_midpoint", "reference"):
+            label = f"{scheme}, {engine}"
+            if label in runs:
+                continue
+            pairs.append(label)
+            options = RunOptions(rate=RATE, scheme=scheme, engine=engine)
+            for count in (short, long):
+                runs[f"{label}, {count}"] = partial(rollout, model, model.rest(), torque[:count], options)
+        live = LiveSimulation(model, RunOptions(rate=RATE, engine=engine))
+        many = 1000 if engine == "compiled" else 20
+        runs[f"live, step({many}), {engine}"] = partial(live.step, many)
+        runs[f"live, step(), {engine}"] = partial(_one_by_one, live, 20)
+        steps |= {f"live, step({many}), {engine}": many, f"live, step(), {engine}": 20}
+    best = dict.fromkeys(runs, float("inf"))
+    for _ in range(ITERATING_ROUNDS + 1):
+        for label, run in runs.items():
+            begin = time.process_time()
+            run()
+            best[label] = min(best[label], time.process_time() - begin)
+    table = Table("", "us per step", title=f"{name}, processor time")
+    for label in pairs:
+        taken = (best[f"{label}, {long}"] - best[f"{label}, {short}"]) / (long - short)
+        table.add_row(label, f"{1e6 * taken:.3g}")
+    for label, count in steps.items():
+        table.add_row(label, f"{1e6 * best[label] / count:.3g}")
+    console.print(table)
+
+
+def _one_by_one(live: LiveSimulation, steps: int) -> None:
+    for _ in range(steps):
+        live.step()
+
+
+def batches(name: str, console: Console) -> None:
+    """Throughput of a batch that keeps summaries, on one core and on all: side by side in the lanes of
+    registers, one rollout after the other, and by MuJoCo's own `rollout`, which keeps all states. In turn,
+    each with its best round; processor time on one core, time on all."""
+    robot = ROBOTS[name]()
+    model, law, n = FlexibleJointModel(robot), law_of(robot), len(robot.joints)
+    table, options = references(n, SECONDS), RunOptions(rate=RATE, engine="compiled")
+    drive = robot.joints[0].drive
+    stiffness = {f"drive.{robot.joint_names[0]}.stiffness": drive.K * np.linspace(0.5, 2.0, BATCH)}
+    one = compiled_for(model, options, law=law, references=tuple(table))
+    job = job_of(one, model, model.rest(), law, one.references(table))
+    rival = Rival(robot, BATCHED, RATE)
+    assert isinstance(law, MotorPD)
+    rival.use_own_controller(np.broadcast_to(law.kp, n), np.broadcast_to(law.kd, n))
+    rival.start(np.zeros(n), np.zeros(n))
+    ctrl = np.repeat(table["theta_ref"], round(RATE / CONTROL), axis=0)
+
+    def alone() -> None:
+        for _ in range(BATCH):
+            one.run(job, stride=-1, summary=True)
+
+    cores = len(os.sched_getaffinity(0))
+    runs: dict[str, Callable[[], object]] = {"ours, one after the other, 1 worker": alone}
+    for workers in (1, cores):
+        ours = partial(closed_loops, model, model.rest(), law, table, options, parameters=stiffness)
+        runs[f"ours, side by side, {workers} worker(s)"] = partial(ours, workers=workers)
+        runs[f"MuJoCo's rollout, {BATCHED}, {workers} thread(s)"] = rival.batch(BATCH, ctrl, workers)
+    best = dict.fromkeys(runs, float("inf"))
+    for _ in range(BATCH_ROUNDS + 1):
+        for label, run in runs.items():
+            clock = time.process_time if " 1 " in label else time.perf_counter
+            begin = clock()
+            run()
+            best[label] = min(best[label], clock() - begin)
+    table_of = Table(
+        "", "times real time", "us per robot and step", title=f"{name}, {BATCH} rollouts of {SECONDS} s"
+    )
+    for label, taken in best.items():
+        each = 1e6 * taken / (BATCH * job.steps)
+        table_of.add_row(label, f"{BATCH * SECONDS / taken:.0f}", f"{each:.3f}")
+    console.print(table_of)
 
 
 def main() -> None:
@@ -225,7 +295,11 @@ def main() -> None:
         if len(sys.argv) == 1 or name in sys.argv[1:]:
             report(name, robot(), console)
     if len(sys.argv) == 1 or "batches" in sys.argv[1:]:
-        batches(console)
+        for name in ("UR5", "CENTAURO"):
+            batches(name, console)
+    if len(sys.argv) == 1 or "iterating" in sys.argv[1:]:
+        for name in ("two links", "UR5", "CENTAURO"):
+            iterating(name, console)
 
 
 if __name__ == "__main__":

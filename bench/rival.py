@@ -3,11 +3,13 @@ tendon that is the spring."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pinocchio as pin
+from mujoco import rollout
 
 from flexjoint.robot.robot import Robot
 
@@ -96,6 +98,21 @@ class Rival:
 
     def run(self, steps: int) -> None:
         mujoco.mj_step(self.model, self.data, steps)
+
+    def batch(self, count: int, ctrl: np.ndarray, threads: int) -> Callable[[], object]:
+        """So many rollouts from the present state by MuJoCo's own `rollout`, all under ctrl (steps, n)."""
+        what = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        size = mujoco.mj_stateSize(self.model, what)
+        start = np.empty(size)
+        mujoco.mj_getState(self.model, self.data, start, what)
+        starts, controls = np.tile(start, (count, 1)), ctrl[np.newaxis]
+        data = [mujoco.MjData(self.model) for _ in range(threads)]
+        states = np.empty((count, len(ctrl), size))
+
+        def run() -> None:
+            rollout.rollout(self.model, data, starts, controls, state=states, persistent_pool=True)
+
+        return run
 
 
 def _axis(model: pin.Model, k: int) -> np.ndarray:

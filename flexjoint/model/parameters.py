@@ -101,13 +101,16 @@ def renumbered(
     """
     joints, planned = [], []
     for joint in robot.joints:
+        if not any(f"drive.{joint.name}.{key}" in changes for key in DRIVE_KEYS.values()):
+            joints.append(joint)
+            continue
         own = {parameter.symbol: parameter for parameter in _of_drive(robot, joint)}
         new = {
             symbol: parameter.checked(float(changes[parameter.name]))
             for symbol, parameter in own.items()
             if parameter.name in changes
         }
-        joints.append(replace(joint, drive=replace(joint.drive, **new)) if new else joint)
+        joints.append(replace(joint, drive=replace(joint.drive, **new)))
     for item in effects:
         values: dict[str, Any] = {}
         for param in item.effect.params:

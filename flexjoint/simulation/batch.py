@@ -1,7 +1,8 @@
 """Many rollouts in one call, on all cores: other parameters, start states, gains or inputs in each.
 
-Compiled rollouts run in threads (the C code holds no lock), the pin loop in processes. A result does not
-depend on how many there are.
+Compiled rollouts run in threads (the C code holds no lock), in each as many side by side as the processor's
+registers hold (8 with AVX-512, 4 with AVX, else 2); the pin loop runs in processes. A rollout's result
+depends neither on how many there are of these, nor on what the others are.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from flexjoint.core.errors import SimulationError, unknown
 from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel, State
-from flexjoint.model.parameters import model_parameters, numbers, renumbered
+from flexjoint.model.parameters import model_parameters, renumbered
 from flexjoint.model.springs import VariableSpring
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.compiled import CompiledModel, Job
@@ -30,6 +31,7 @@ from flexjoint.simulation.loop import REFERENCES, Ticks, check_references
 from flexjoint.simulation.options import DEFAULTS, RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout
 from flexjoint.simulation.schemes import DEFAULT, find
+from flexjoint.simulation.schemes.midpoint import warn_of_order_one
 from flexjoint.simulation.schemes.stability import check_stability
 from flexjoint.simulation.sensors import true_signals
 from flexjoint.simulation.trajectory import Trajectory
@@ -99,7 +101,7 @@ def rollouts(
         parameters: (B,) numbers by name, as `parameter_names` lists them.
         every: keep every such row; None keeps summaries only, and memory is flat in N.
         workers: default one per core.
-        progress: called with the share of the rollouts that are done and
+        progress: called with the share of the rollouts that are done, after each or a few, and
             what they are, e.g. `flexjoint.report.terminal.Progress()`.
 
     Raises:
@@ -196,13 +198,17 @@ class _Alone:
 
 @dataclass(frozen=True)
 class _One:
-    """What one rollout leaves; sums (4, 7 n) as the compiled driver has them."""
+    """What one rollout leaves; sums (4, 7 n) and lost as the compiled driver has them."""
 
     x: np.ndarray
     tau_m: np.ndarray
     final: np.ndarray
     sums: np.ndarray
     failed: int
+    lost: tuple[float, float] | None = None
+
+
+_Task = tuple[tuple[int, ...], Callable[..., list[_One]], tuple[Any, ...]]  # of rollouts at these places
 
 
 def _run(
@@ -228,50 +234,87 @@ def _run(
     if find(options.scheme).adaptive:
         loop = loop if adaptive(model, total, options) is model else replace(options, engine="compiled")
     else:
-        compiled = choose(model, total, options, work.law, work.references)
+        many = not find(options.scheme).newton
+        compiled = choose(model, total, options, work.law, work.references, many)
     if options.scheme != DEFAULT:
         for start, item in zip(starts, numbered, strict=True):
             other = FlexibleJointModel(*item, springs=model.springs) if item else model
             check_stability(other, start, 1.0 / work.rate, options.scheme)
-    tasks: list[tuple[Any, ...]] = []
-    for start, drive, law, item in zip(starts, drives, laws, numbered, strict=True):
-        if compiled is None:
+    tasks: list[_Task] = []
+    if compiled is None:
+        for k, (start, drive, law, item) in enumerate(zip(starts, drives, laws, numbered, strict=True)):
             robot, effects = item or (model.robot, model.effects)
             timing = (work.references, every, work.steps)
-            tasks.append((_Alone(loop, robot, effects, model.springs, start, law, drive, *timing),))
-        else:
-            tasks.append((compiled, _job(compiled, model, work.steps, start, drive, law, item), every))
+            alone = _Alone(loop, robot, effects, model.springs, start, law, drive, *timing)
+            tasks.append(((k,), _by_pin, (alone,)))
+    else:
+        jobs = _jobs(compiled, work, starts, drives, laws, changes)
+        for places in _side_by_side(jobs, compiled.lanes):
+            tasks.append((places, _by_c, (compiled, [jobs[k] for k in places], every)))
     if model.springs and compiled is None:
         workers = 1  # functions of time do not travel to other processes
     with _executor(compiled, workers, total) as executor:
-        done = _in_order(executor, _by_pin if compiled is None else _by_c, tasks, progress)
+        done = _in_order(executor, tasks, count, progress)
+    _check_followed(work, done)
     return _gathered(work, starts, done)
 
 
-def _job(
+def _check_followed(work: _Work, done: Sequence[_One]) -> None:
+    """Warns of the rollout in which a link turned most within a step that did not follow its motion."""
+    lost = [one.lost for one in done if one.lost and one.failed < 0]
+    if lost:
+        warn_of_order_one(*max(lost, key=lambda one: one[1]), work.rate)
+
+
+def _jobs(
     compiled: CompiledModel,
-    model: FlexibleJointModel,
-    steps: int,
-    start: State,
-    drive: np.ndarray,
-    law: Law | None,
-    item: tuple[Robot, tuple[Planned, ...]] | None,
-) -> Job:
-    robot, effects = item or (model.robot, model.effects)
-    values = numbers(model_parameters(robot, effects, compiled.free))
-    gains = compiled.gains(law)
-    return Job(
-        row=row_of(model, start), t=float(start.t), values=values, drive=drive, gains=gains, steps=steps
-    )
+    work: _Work,
+    starts: Sequence[State],
+    drives: Sequence[np.ndarray],
+    laws: Sequence[Law | None],
+    changes: Sequence[Mapping[str, float]],
+) -> list[Job]:
+    nominal = compiled.values(work.model)
+    places = {name: k for k, name in enumerate(parameter_names(work.model))}
+    jobs = []
+    for start, drive, law, change in zip(starts, drives, laws, changes, strict=True):
+        values = nominal.copy()
+        for name, value in change.items():
+            values[places[name]] = value
+        jobs.append(
+            Job(
+                row=row_of(work.model, start),
+                t=float(start.t),
+                values=values,
+                drive=drive,
+                gains=compiled.gains(law),
+                steps=work.steps,
+            )
+        )
+    return jobs
 
 
-def _by_c(compiled: CompiledModel, job: Job, every: int | None) -> _One:
-    rows = compiled.run(job, stride=every or -1, summary=True)
-    assert rows.summary is not None  # it was asked for
-    return _One(rows.states, rows.tau_m, rows.final, rows.summary, rows.failed)
+def _side_by_side(jobs: Sequence[Job], lanes: int) -> list[tuple[int, ...]]:
+    """Places of jobs that run side by side: they begin at one time."""
+    at: dict[float, list[int]] = {}
+    for k, job in enumerate(jobs):
+        at.setdefault(job.t, []).append(k)
+    return [tuple(own[k : k + lanes]) for own in at.values() for k in range(0, len(own), lanes)]
 
 
-def _by_pin(work: _Alone) -> _One:
+def _by_c(compiled: CompiledModel, jobs: Sequence[Job], every: int | None) -> list[_One]:
+    found = []
+    for rows in compiled.run_all(jobs, stride=every or -1, summary=True):
+        assert rows.summary is not None  # it was asked for
+        found.append(_One(rows.states, rows.tau_m, rows.final, rows.summary, rows.failed, rows.lost))
+    return found
+
+
+def _by_pin(work: _Alone) -> list[_One]:
+    return [_looped(work)]
+
+
+def _looped(work: _Alone) -> _One:
     model, n = FlexibleJointModel(work.robot, work.effects, springs=work.springs), len(work.robot.joints)
     drive = work.drive
     references = {name: drive[:, k * n : (k + 1) * n] for k, name in enumerate(work.references)}
@@ -330,22 +373,28 @@ def _executor(compiled: CompiledModel | None, workers: int | None, steps: int) -
 
 
 def _in_order(
-    executor: Executor | None,
-    task: Callable[..., _One],
-    tasks: Sequence[tuple[Any, ...]],
-    progress: Progress | None,
+    executor: Executor | None, tasks: Sequence[_Task], count: int, progress: Progress | None
 ) -> list[_One]:
     report: Progress = progress or (lambda _share, _what: None)
-    results: list[_One | None] = [None] * len(tasks)
+    results: list[_One | None] = [None] * count
+    finished = 0
+
+    def note(places: tuple[int, ...], found: list[_One]) -> None:
+        nonlocal finished
+        for place, one in zip(places, found, strict=True):
+            results[place] = one
+        finished += len(places)
+        report(finished / count, "rollouts")
+
     if executor is None:
-        for k, arguments in enumerate(tasks):
-            results[k] = task(*arguments)
-            report((k + 1) / len(tasks), "rollouts")
+        for places, task, arguments in tasks:
+            note(places, task(*arguments))
     else:
-        places: dict[Future[_One], int] = {executor.submit(task, *a): k for k, a in enumerate(tasks)}
-        for count, future in enumerate(as_completed(places)):
-            results[places[future]] = future.result()
-            report((count + 1) / len(tasks), "rollouts")
+        running: dict[Future[list[_One]], tuple[int, ...]] = {
+            executor.submit(task, *arguments): places for places, task, arguments in tasks
+        }
+        for future in as_completed(running):
+            note(running[future], future.result())
     return [result for result in results if result is not None]
 
 

@@ -168,13 +168,16 @@ def test_what_does_not_fit_is_refused() -> None:
     assert parameter_names(MODEL)[:2] == ("motor_coulomb_friction.hip.level", "drive.hip.stiffness")
 
 
-def test_a_batch_tells_how_far_it_is() -> None:
+@pytest.mark.parametrize("kind", ["compiled", "pin"])
+def test_a_batch_tells_how_far_it_is(kind: Engine) -> None:
+    """After each rollout, or after those that ran side by side."""
     for workers in (1, 2):
         shares: list[tuple[float, str]] = []
 
         def note(share: float, what: str, into: list[tuple[float, str]] = shares) -> None:
             into.append((share, what))
 
-        loops("compiled", workers=workers, progress=note)
+        loops(kind, workers=workers, progress=note)
         assert {what for _, what in shares} == {"rollouts"}
-        np.testing.assert_allclose([share for share, _ in shares], [1 / 3, 2 / 3, 1.0])
+        told = [share for share, _ in shares]
+        assert told == sorted(told) and told[-1] == 1.0

@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 
 from flexjoint.core.limits import COMPILING
-from flexjoint.simulation.compiled.compiler import FLAGS, Compiler, CompilerError, compilers
+from flexjoint.simulation.compiled.compiler import FLAGS, STEPS, Compiler, CompilerError, compilers
 
 BUILD = "build."  # how the name of a build's folder begins
 KEPT = COMPILING.libraries
@@ -46,14 +46,14 @@ def load(source: str, compiler: Compiler | None = None) -> tuple[Compiler, ctype
     raise failure
 
 
-def library(source: str, compiler: Compiler, further: Sequence[str] = ()) -> Path:
-    """The compiled library of a C source, built with further flags unless it is there, and whole.
+def library(source: str, compiler: Compiler, level: Sequence[str] = STEPS) -> Path:
+    """The compiled library of a C source, built at an optimisation level unless it is there, and whole.
 
     Safe while other processes build the same: each builds in a folder of its own and renames the result
     into place. Where the cache cannot be written it goes to a folder that lives as long as the process, with
     a warning. Raises CompilerError.
     """
-    key = hashlib.sha256("\0".join([source, compiler.identity, *FLAGS, *further]).encode()).hexdigest()
+    key = hashlib.sha256("\0".join([source, compiler.identity, *FLAGS, *level]).encode()).hexdigest()
     for find_place in (cache_folder, _temporary_folder):
         place = find_place()
         for path in place.glob(f"{key}.*.so"):
@@ -65,7 +65,7 @@ def library(source: str, compiler: Compiler, further: Sequence[str] = ()) -> Pat
         why = _unwritable(place)
         if not why:
             try:
-                path = _built(source, compiler, further, place / key)
+                path = _built(source, compiler, level, place / key)
             except OSError as error:
                 why = error.strerror or str(error)
             else:
@@ -76,12 +76,12 @@ def library(source: str, compiler: Compiler, further: Sequence[str] = ()) -> Pat
     raise CompilerError(f"no place for a compiled model: {place} cannot be written ({why})")
 
 
-def _built(source: str, compiler: Compiler, further: Sequence[str], path: Path) -> Path:
+def _built(source: str, compiler: Compiler, level: Sequence[str], path: Path) -> Path:
     """The library, whose name is `path`, the hash of its content, and .so."""
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=BUILD) as build:  # 0700 by its making
         text, built = Path(build) / "program.c", Path(build) / "program.so"
         text.write_text(source, encoding="utf-8")
-        compiler.compile(text, built, further)
+        compiler.compile(text, built, level)
         os.chmod(built, 0o700)
         named = path.with_name(f"{path.name}.{_hash(built)}.so")
         os.replace(built, named)

@@ -21,13 +21,12 @@ from flexjoint.core.errors import FlexJointError
 from flexjoint.core.limits import COMPILING
 from flexjoint.core.messages import shown
 
-# -O1: straight-line code, on which -O3 gains nothing and takes longer. No contraction to fused
-# multiply-adds: results are those of the operations as written, on any machine. GCC clears the upper halves
-# of AVX registers only with -fexpensive-optimizations; else sin and cos of the C library run at half speed.
+# No contraction to fused multiply-adds: results are those of the operations as written, on any machine. GCC's
+# register allocator would colour a graph of conflicts, which takes a third of all time for so long a straight
+# line, whose code comes out longer; Clang ignores this.
 FLAGS = (
     "-std=c99",
-    "-O1",
-    "-fexpensive-optimizations",
+    "--param=ira-max-conflict-table-size=0",
     "-ffp-contract=off",
     "-march=native",
     "-fno-sanitize=undefined",
@@ -35,6 +34,11 @@ FLAGS = (
     "-fPIC",
     "-shared",
 )
+
+STEPS = ("-O2",)  # of the largest model an eighth quicker than -O1, and compiled in no more time
+# For functions that are called some ten thousand times. GCC clears the upper halves of AVX registers only
+# with -fexpensive-optimizations, which -O2 has; else sin and cos of the C library run at half speed.
+FUNCTIONS = ("-O1", "-fexpensive-optimizations")
 
 log = logging.getLogger("flexjoint")
 
@@ -51,10 +55,10 @@ class Compiler:
     command: tuple[str, ...]
     identity: str
 
-    def compile(self, source: Path, library: Path, further: Sequence[str] = ()) -> None:
-        """Compile a C file to a shared library, with further flags; raises CompilerError with what the
+    def compile(self, source: Path, library: Path, level: Sequence[str] = STEPS) -> None:
+        """Compile a C file to a shared library, at an optimisation level; raises CompilerError with what the
         compiler said."""
-        command = [*self.command, *FLAGS, *further, source.name, "-o", str(library), "-lm"]
+        command = [*self.command, *FLAGS, *level, source.name, "-o", str(library), "-lm"]
         try:
             with subprocess.Popen(
                 command,

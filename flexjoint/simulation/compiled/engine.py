@@ -47,12 +47,13 @@ def choose(
     options: RunOptions,
     law: Law | None = None,
     references: Sequence[str] = (),
+    many: bool = False,
 ) -> CompiledModel | None:
-    """The compiled model that the options ask for, or None for the pin loop. Says the choice of `auto` once,
-    at info level."""
+    """The compiled model that the options ask for, or None for the pin loop; with `many`, one that runs
+    several jobs side by side. Says the choice of `auto` once, at info level."""
 
     def made() -> CompiledModel:
-        return compiled_for(model, options, law=law, references=references)
+        return compiled_for(model, options, law=law, references=references, many=many)
 
     return _chosen(made, steps >= long(model), options)
 

@@ -9,14 +9,11 @@ import casadi as ca
 
 from flexjoint.core.functions import c_source
 from flexjoint.simulation.compiled.cache import library
-from flexjoint.simulation.compiled.compiler import CompilerError, compilers
+from flexjoint.simulation.compiled.compiler import FUNCTIONS, CompilerError, compilers
 
 # a compiler takes some 0.2 ms an operation, CasADi's virtual machine some 10 ns more than compiled code does
 BREAK_EVEN = 20_000  # evaluations from which compiling is quicker than not compiling
 LARGEST = 60_000  # operations: a compiler takes more than proportional time for more
-# GCC's register allocator would colour a graph of conflicts, which takes a third of all time for so long a
-# straight line and makes it no quicker (steps in a loop it does); Clang ignores this
-STRAIGHT = ("--param=ira-max-conflict-table-size=0",)
 EXPORT = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n'
 
 
@@ -35,7 +32,7 @@ def compiled(functions: Sequence[ca.Function]) -> list[ca.Function]:
 def _compiled(function: ca.Function, source: str) -> ca.Function:
     for compiler in compilers():
         try:
-            return ca.external(function.name(), str(library(EXPORT + source, compiler, STRAIGHT)))
+            return ca.external(function.name(), str(library(EXPORT + source, compiler, FUNCTIONS)))
         except (CompilerError, RuntimeError):
             continue
     return function

@@ -7,9 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from flexjoint.model.dynamics import FlexibleJointModel, State
-from flexjoint.simulation.compiled.model import CompiledModel, DriverRun, row_of
+from flexjoint.simulation.compiled.model import CompiledModel, DriverRun, lost_by, row_of
 from flexjoint.simulation.loop import diverged
 from flexjoint.simulation.schemes.implicit import not_converged
+from flexjoint.simulation.schemes.midpoint import warn_of_order_one
 from flexjoint.simulation.trajectory import Trajectory
 
 
@@ -96,8 +97,11 @@ class LiveRun:
         return compiled.tape_of(time, self._x[rows % run.window], tau_m, run.first)
 
     def _take(self, end: int, values: np.ndarray) -> None:
-        run, compiled = self._run, self._compiled
-        failed = compiled.take_steps(run, values, self.done, end)
+        run, compiled, before = self._run, self._compiled, lost_by(self._run, 0)
+        (failed,) = compiled.take_steps(run, [values], self.done, end)
+        lost = lost_by(run, 0)
+        if lost and not before and failed < 0:
+            warn_of_order_one(*lost, compiled.rate)
         if failed < 0:
             self.done = end
         elif run.worst >= 0:

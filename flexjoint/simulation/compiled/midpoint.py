@@ -94,6 +94,7 @@ def numbers(layout: DiscreteModel) -> dict[str, float]:
         "FJ_ALONE": int(not midpoint.Midpoint(layout.symbolic.model, h).repeats),
         "FJ_REPEATS": midpoint.REPEATS,
         "FJ_GROWS": midpoint.GROWS,
+        "FJ_FOLLOWED": midpoint.FOLLOWED,
     }
 
 

@@ -21,16 +21,18 @@ from flexjoint.model.parameters import model_parameters, numbers
 from flexjoint.model.symbolic import SymbolicModel
 from flexjoint.simulation.compiled.cache import load
 from flexjoint.simulation.compiled.compiler import Compiler
+from flexjoint.simulation.compiled.lanes import aligned, side_by_side
 from flexjoint.simulation.compiled.program import Program, c_program, numbers_of, write_program
 from flexjoint.simulation.controllers import Law
 from flexjoint.simulation.loop import Ticks, diverged, segments
 from flexjoint.simulation.options import DEFAULTS, RunOptions
 from flexjoint.simulation.schemes.implicit import not_converged
+from flexjoint.simulation.schemes.midpoint import warn_of_order_one
 from flexjoint.simulation.trajectory import Past, Trajectory
 
 RATES_FREE = ("drives",)  # numbers of the model that a compiled right-hand side takes as parameters
 SHORT = -2  # what driver.c returns where memory is short
-_DOUBLES = ctypes.POINTER(ctypes.c_double)
+MOST = 8  # lanes that it takes
 
 
 class DriverRun(ctypes.Structure):
@@ -69,8 +71,12 @@ class DriverRun(ctypes.Structure):
                 "q_ref",
                 "worst",
                 "fill",
+                "drive_lane",
+                "kept_lane",
             )
         ),
+        *((name, ctypes.c_longlong * MOST) for name in ("failed", "lost")),
+        ("turned", ctypes.c_double * MOST),
         *((name, ctypes.c_double) for name in ("t_start", "t", "h")),
     )
 
@@ -106,7 +112,8 @@ class Rows:
     """What a run leaves: states (R, row) and commands (R, n) of the kept rows (of the whole tape, where all
     are kept, with the `first` ones before the start); final (row,); summary (4, observed): least, largest,
     sum and sum of squares over the steps; failed: the step that left the finite numbers, or did not converge
-    (worst is the place of its worst unknown then, else -1), or -1."""
+    (worst is the place of its worst unknown then, else -1), or -1; lost: the time [s] of the first step that
+    did not follow its motion, and the most [rad] by which a link turned within such a step."""
 
     states: np.ndarray
     tau_m: np.ndarray
@@ -115,6 +122,7 @@ class Rows:
     first: int
     failed: int
     worst: int = -1
+    lost: tuple[float, float] | None = None
 
 
 class CompiledModel:
@@ -126,6 +134,7 @@ class CompiledModel:
         law, references: of a closed loop, with the names that a row of references holds; without a law runs
             take given torques.
         free, commanded: see `SymbolicModel`.
+        many: run several jobs side by side, in `lanes` of the processor's registers.
         compiler: default: the first that works.
 
     Raises:
@@ -142,6 +151,7 @@ class CompiledModel:
         references: Sequence[str] = (),
         free: Collection[str] = ("drives",),
         commanded: Collection[str] = (),
+        many: bool = False,
         compiler: Compiler | None = None,
     ) -> None:
         rate = self.rate = options.rate_for(model.robot)
@@ -163,11 +173,12 @@ class CompiledModel:
                 springs=model.springs,
                 commanded=self.commanded,
             )
-            program = write_program(symbolic, options, law, references)
+            program = write_program(symbolic, options, law, references, many)
             self.compiler, loaded = _load(program, compiler)
             phases.append(Phase(program, loaded, _delays(symbolic, program)))
         self.phases = tuple(phases)
         self.program = phases[0].program
+        self.lanes: int = phases[0].library.flexjoint_lanes()
         self.delayed = any(
             flow.max_reading_delay(channel) > 0.0
             for _, phase in model.phases
@@ -207,31 +218,40 @@ class CompiledModel:
 
     # --- runs ------------------------------------------------------------------------------------
     def run(self, job: Job, stride: int = 0, summary: bool = False) -> Rows:
-        """Run a job; thread-safe, and other threads run meanwhile.
+        """Run a job; see `run_all`."""
+        return self.run_all([job], stride, summary)[0]
+
+    def run_all(self, jobs: Sequence[Job], stride: int = 0, summary: bool = False) -> list[Rows]:
+        """Run as many jobs as there are lanes, or fewer, side by side; thread-safe, and other threads run
+        meanwhile. The jobs begin at one time and have as many steps; none sees the others.
 
         Args:
             stride: 0 keeps the whole tape; k > 0 every k-th row from the start on; -1 none. Memory is flat
                 in the number of steps without the whole tape.
         """
-        program, n = self.program, self.program.inputs
+        program, n, lanes, job = self.program, self.program.inputs, self.lanes, jobs[0]
         first = self.history if job.before is None else len(job.before[1])
         whole = stride == 0
         window = first + job.steps + 1 if whole else max(first, self.history) + 3
-        x, tau_m = np.empty((window, program.row)), np.zeros((window, n))
-        x[: first + 1] = job.row
+        x, tau_m = aligned(window, program.row, lanes), aligned(window, n, lanes)
+        tau_m[:] = 0.0
+        x[: first + 1] = side_by_side([one.row for one in jobs], lanes)
         if job.before is not None:
-            x[:first], tau_m[:first] = job.before
+            befores = [one.before for one in jobs if one.before is not None]
+            x[:first] = side_by_side([states for states, _ in befores], lanes)
+            tau_m[:first] = side_by_side([commands for _, commands in befores], lanes)
         kept = len(range(0, job.steps, stride)) if stride > 0 else 0
-        kept_x, kept_tau_m = np.empty((kept, program.row)), np.empty((kept, n))
-        sums = np.zeros((4, program.observed)) if summary else None
+        kept_x, kept_tau_m = np.empty((lanes, kept, program.row)), np.empty((lanes, kept, n))
+        sums = aligned(4, program.observed, lanes) if summary else None
         if sums is not None:
-            sums[0], sums[1] = np.inf, -np.inf
+            sums[0], sums[1], sums[2:] = np.inf, -np.inf, 0.0
         run = DriverRun()
         run.x, run.tau_m, run.kept_x, run.kept_tau_m = map(_pointer, (x, tau_m, kept_x, kept_tau_m))
-        run.kept_x = run.kept_x if kept else None
-        y = np.empty((window, max(program.readings, 1))) if self.delayed else np.empty(0)
+        run.kept_x, run.kept_lane = run.kept_x if kept else None, kept
+        y = aligned(window if self.delayed else 0, program.readings, lanes)
         run.y, run.summary = _pointer(y), None if sums is None else _pointer(sums)
-        drive, gains = np.ascontiguousarray(job.drive), np.ascontiguousarray(job.gains)
+        drive, run.drive_lane = _drive([one.drive for one in jobs], lanes)
+        gains = side_by_side([one.gains for one in jobs], lanes)
         run.gains = _pointer(gains)
         if self.law_kind is None:
             run.torque = _pointer(drive)
@@ -244,44 +264,54 @@ class CompiledModel:
         run.reference_step, run.fresh = program.reference, 1
         run.h = 1.0 / self.rate
         run.t_start = run.t = job.t
-        failed = self.take_steps(run, job.values, 0, job.steps)
-        final = x[(first + (job.steps if failed < 0 else failed + 1)) % window].copy()
-        if not whole:
-            return Rows(
-                states=kept_x,
-                tau_m=kept_tau_m,
-                final=final,
-                summary=sums,
-                first=0,
-                failed=failed,
-                worst=run.worst,
-            )
-        if job.steps:
+        failed = self.take_steps(run, [one.values for one in jobs], 0, job.steps)
+        if whole and job.steps:
             tau_m[-1] = tau_m[-2]
-        return Rows(
-            states=x, tau_m=tau_m, final=final, summary=sums, first=first, failed=failed, worst=run.worst
-        )
+        found = []
+        for lane in range(len(jobs)):
+            last = job.steps if failed[lane] < 0 else failed[lane] + 1
+            rows = Rows(
+                states=x[:, :, lane] if whole else kept_x[lane],
+                tau_m=tau_m[:, :, lane] if whole else kept_tau_m[lane],
+                final=x[(first + last) % window, :, lane].copy(),
+                summary=None if sums is None else sums[:, :, lane],
+                first=first if whole else 0,
+                failed=failed[lane],
+                worst=run.worst,
+                lost=lost_by(run, lane),
+            )
+            found.append(rows)
+        return found
 
-    def take_steps(self, run: DriverRun, values: np.ndarray, begin: int, end: int) -> int:
-        """The steps [begin, end) of a run, phase by phase; the step that failed, or -1."""
-        failed, done = -1, begin
+    def take_steps(self, run: DriverRun, values: Sequence[np.ndarray], begin: int, end: int) -> list[int]:
+        """The steps [begin, end) of a run, phase by phase; of each lane the step that failed, or -1.
+
+        Args:
+            values: (parameters,) of each lane.
+        """
+        lanes, done = self.lanes, begin
+        failed = [-1] * lanes
         spans = segments(self._layout, run.t_start, end, 1.0 / self.rate)
         for phase, (_, until) in zip(self.phases, spans, strict=True):
             if until <= done:
                 continue
-            constants = np.empty(max(phase.program.constants, 1))
-            phase.library.flexjoint_setup(_doubles(values), _doubles(constants))
+            parameters, constants = side_by_side(values, lanes), aligned(phase.program.constants, lanes)
+            phase.library.flexjoint_setup(_pointer(parameters), _pointer(constants))
             run.constants = _pointer(constants)
             if self._late or self.delayed:
-                command, reading = (np.array(d).ravel() * self.rate for d in phase.delays(values))
-                reading = reading + self._sensing * self.rate
+                delays = [[np.array(d).ravel() * self.rate for d in phase.delays(own)] for own in values]
+                command = side_by_side([own for own, _ in delays], lanes)
+                reading = side_by_side([own + self._sensing * self.rate for _, own in delays], lanes)
                 run.command_delay = _pointer(command) if self._late else None
                 run.reading_delay = _pointer(reading) if self.delayed else None
             run.begin, run.end = done, until
-            failed = phase.library.flexjoint_run(ctypes.byref(run))
-            if failed == SHORT:
+            run.failed = (ctypes.c_longlong * MOST)(*[-1] * MOST)
+            ended = phase.library.flexjoint_run(ctypes.byref(run))
+            if ended == SHORT:
                 raise MemoryError("no memory for the work space of a step")
-            if failed >= 0:
+            own = [ended] * lanes if run.worst >= 0 else run.failed[:lanes]
+            failed = [now if before < 0 else before for before, now in zip(failed, own, strict=True)]
+            if ended >= 0:
                 break
             done = until
         return failed
@@ -295,6 +325,8 @@ class CompiledModel:
         if rows.worst >= 0:
             at = float(time[rows.first + rows.failed])
             raise not_converged(model, at, 1.0 / self.rate, rows.worst)
+        if rows.lost and rows.failed < 0:
+            warn_of_order_one(*rows.lost, self.rate)
         if rows.failed >= 0:
             taken = slice(rows.first, rows.first + rows.failed + 2)
             finite = np.isfinite(v[taken]).all(axis=1) & np.isfinite(dtheta[taken]).all(axis=1)
@@ -369,6 +401,13 @@ def row_of(model: FlexibleJointModel, state: State) -> np.ndarray:
     return np.concatenate([model.pack(state), state.acc, state.ddtheta, state.tau_rigid])
 
 
+def lost_by(run: DriverRun, lane: int) -> tuple[float, float] | None:
+    """When a run no longer followed its motion; see Rows."""
+    if not run.lost[lane]:
+        return None
+    return run.t_start + run.h * (run.lost[lane] - 1), run.turned[lane]
+
+
 def _delays(symbolic: SymbolicModel, program: Program) -> ca.Function:
     flows = symbolic.model.flows
     command = ca.vertcat(*(flow.command_delay() for flow in flows))
@@ -381,15 +420,20 @@ def _delays(symbolic: SymbolicModel, program: Program) -> ca.Function:
 def _load(program: Program, compiler: Compiler | None) -> tuple[Compiler, ctypes.CDLL]:
     """The program's library, by the first compiler that succeeds."""
     used, loaded = load(program.source, compiler)
-    loaded.flexjoint_setup.argtypes, loaded.flexjoint_setup.restype = [_DOUBLES, _DOUBLES], None
+    loaded.flexjoint_setup.argtypes, loaded.flexjoint_setup.restype = [ctypes.c_void_p, ctypes.c_void_p], None
     loaded.flexjoint_run.argtypes = [ctypes.POINTER(DriverRun)]
     loaded.flexjoint_run.restype = ctypes.c_longlong
     return used, loaded
 
 
+def _drive(drives: Sequence[np.ndarray], lanes: int) -> tuple[np.ndarray, int]:
+    """Torques or references of all lanes, and how many numbers lie from one lane's to the next one's: 0 where
+    all share them."""
+    if all(drive is drives[0] for drive in drives):
+        return np.ascontiguousarray(drives[0]), 0
+    rows = [drives[min(lane, len(drives) - 1)] for lane in range(lanes)]
+    return np.stack(rows), rows[0].size
+
+
 def _pointer(values: np.ndarray) -> int:
     return values.ctypes.data
-
-
-def _doubles(values: np.ndarray) -> ctypes._Pointer[ctypes.c_double]:
-    return values.ctypes.data_as(_DOUBLES)

@@ -21,6 +21,7 @@ from flexjoint.model.symbolic import SymbolicModel
 from flexjoint.rigidbody.symbolic import SymbolicBody
 from flexjoint.simulation.compiled import midpoint as passes
 from flexjoint.simulation.compiled import newton as implicit_newton
+from flexjoint.simulation.compiled.lanes import laned
 from flexjoint.simulation.controllers import Law, Mixed
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.schemes import DEFAULT, find
@@ -60,8 +61,10 @@ def write_program(
     options: RunOptions,
     law: Law | None = None,
     references: Sequence[str] = (),
+    many: bool = False,
 ) -> Program:
-    """The program of a symbolic model; without a law it takes given torques.
+    """The program of a symbolic model; without a law it takes given torques. With `many` its numbers are
+    lanes, each of another rollout; for schemes that have lanes.
 
     Raises what the symbolic model and the scheme raise; ModelError, or whatever its code raises on
     expressions, for a law that takes numbers only.
@@ -155,7 +158,7 @@ def write_program(
     numbers, file = _stepping(discrete, used, functions)
     numbers, files = {**sizes, **numbers}, ["setup.c", *file, "driver.c"]
     return Program(
-        source=c_program(functions, numbers, files),
+        source=c_program(functions, numbers, files, many),
         nq=model.nq,
         nv=model.nv,
         row=discrete.plain,
@@ -172,8 +175,11 @@ def write_program(
     )
 
 
-def c_program(functions: Sequence[ca.Function], numbers: Mapping[str, float], files: Sequence[str]) -> str:
-    """C source of generated functions, of numbers as macros, and of files in sources/, which use both.
+def c_program(
+    functions: Sequence[ca.Function], numbers: Mapping[str, float], files: Sequence[str], many: bool = False
+) -> str:
+    """C source of generated functions, of numbers as macros, and of files in sources/, which use both; with
+    `many`, in the lanes of lanes.c.
 
     Raises ModelError where a law or effect makes no expressions of expressions.
     """
@@ -186,8 +192,11 @@ def c_program(functions: Sequence[ca.Function], numbers: Mapping[str, float], fi
     defines = "".join(f"#define {name} {number}\n" for name, number in numbers.items())
     export = '#define FJ_EXPORT __attribute__((visibility("default")))\n'
     folder = resources.files("flexjoint.simulation.compiled") / "sources"
-    own = [folder.joinpath(name).read_text(encoding="utf-8") for name in files]
-    return "\n".join([unguarded(generated), defines + export, *own])
+    lanes, *own = [folder.joinpath(name).read_text(encoding="utf-8") for name in ["lanes.c", *files]]
+    generated = unguarded(generated)
+    if many:
+        lanes, generated = "#define FJ_MANY\n" + lanes, laned(generated)
+    return "\n".join([lanes, generated, defines + export, *own])
 
 
 def _with_calls(

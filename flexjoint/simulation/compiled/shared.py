@@ -29,13 +29,16 @@ def compiled_for(
     references: Sequence[str] = (),
     free: Collection[str] = ("drives",),
     commanded: Collection[str] = (),
+    many: bool = False,
 ) -> CompiledModel:
     """The compiled model of this structure, made if need be. Arguments and errors as for CompiledModel."""
     timing = (options.rate_for(model.robot), options.scheme, options.width)
-    key = (*_structure(model, timing, law, references, free), tuple(commanded))
+    key = (*_structure(model, timing, law, references, free), tuple(commanded), many)
 
     def make() -> CompiledModel:
-        return CompiledModel(model, options, law=law, references=references, free=free, commanded=commanded)
+        return CompiledModel(
+            model, options, law=law, references=references, free=free, commanded=commanded, many=many
+        )
 
     return _shared(key, make)
 

@@ -183,10 +183,18 @@ def test_the_readme_commands_exist() -> None:
     assert targets and all(f"\n{target}:" in makefile for target in targets)
 
 
-# --- simulation.md ----------------------------------------------------------------------------------------
-@pytest.mark.parametrize("example", blocks(DOCS / "explained" / "simulation.md", "python"))
-def test_the_examples_of_the_simulation_page_run(example: str) -> None:
-    exec(example, {})
+# --- pages whose examples run alone -----------------------------------------------------------------------
+ALONE = {
+    f"{name} {k}": example
+    for name in ("explained/simulation", "explained/symbolic", "explained/performance", "howto/viewing")
+    for k, example in enumerate(blocks(DOCS / f"{name}.md", "python"))
+}
+
+
+@pytest.mark.parametrize("example", ALONE)
+def test_an_example_runs_alone(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_an_empty_folder(tmp_path, monkeypatch)
+    exec(ALONE[example], {})
 
 
 def test_the_simulation_page_names_every_scheme_and_law() -> None:
@@ -223,12 +231,26 @@ def test_the_commands_of_that_page_are_commands() -> None:
 # --- the other pages --------------------------------------------------------------------------------------
 RUN_ELSEWHERE = {  # by a test of its own
     "adding_an_effect.md",
+    "performance.md",
     "rigid_robots.md",
     "simulation.md",
+    "symbolic.md",
     "symbolic_body.md",
     "testing.md",
     "theta_d.md",
+    "viewing.md",
 }
+
+
+def in_an_empty_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for a recording of the UR5, which some examples read."""
+    monkeypatch.chdir(folder)
+    for needs_chromium in ("write_images", "write_video"):  # test_view_browser.py has them
+        monkeypatch.setattr(Page, needs_chromium, lambda *_args, **_options: [])
+    time = np.arange(100) / 100.0
+    make(time, {("q", "shoulder_pan_joint"): 0.3 * np.sin(time)}).write("run.parquet")
+
+
 WITH_EXAMPLES = [page for page in PAGES if blocks(page, "python")]
 
 
@@ -238,12 +260,7 @@ WITH_EXAMPLES = [page for page in PAGES if blocks(page, "python")]
 def test_the_examples_of_a_page_run_one_after_the_other(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    for needs_chromium in ("write_images", "write_video"):  # test_view_browser.py has them
-        monkeypatch.setattr(Page, needs_chromium, lambda *_args, **_options: [])
-    time = np.arange(100) / 100.0
-    turning = make(time, {("q", "shoulder_pan_joint"): 0.3 * np.sin(time)})
-    turning.write("run.parquet")
+    in_an_empty_folder(tmp_path, monkeypatch)
     names: dict[str, Any] = {}
     for example in blocks(page, "python"):
         exec(example, names)

@@ -195,7 +195,15 @@ def test_a_compiler_that_hangs_is_ended_with_what_it_started(
     assert time.monotonic() - begin < 10.0
     assert "slowcc compiles a model; waiting for at most 0.6 s" in caplog.text
     status = Path(f"/proc/{mark.read_text().strip()}/stat")
-    assert not status.exists() or status.read_text().rpartition(")")[2].split()[0] in "ZX"
+
+    def running() -> bool:
+        return status.exists() and status.read_text().rpartition(")")[2].split()[0] not in "ZX"
+
+    for _ in range(100):  # what was killed ends when its turn comes on a busy machine
+        if not running():
+            break
+        time.sleep(0.1)
+    assert not running()
 
 
 def test_builds_that_were_killed_are_removed(folder: Path) -> None:

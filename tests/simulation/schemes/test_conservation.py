@@ -22,6 +22,8 @@ from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.symbolic import SymbolicModel
 from flexjoint.robot.robot import Robot, build, load
 from flexjoint.robot.schema import parse
+from flexjoint.simulation.batch import rollouts
+from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import rollout
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES
@@ -157,6 +159,39 @@ def test_a_rate_that_a_warning_names_keeps_them_in_silence(scheme: str, robot: s
         gained, made, _ = run(ROBOTS[robot](), rate, 0.3, scheme)
     assert gained < 0.01
     assert made < 1e-6 or "fixed" in robot
+
+
+@pytest.mark.parametrize("engine", ["pin", "compiled"])
+def test_the_default_says_where_it_does_not_follow_the_motion(engine: str) -> None:
+    """Energy is kept all the same; at the rate that is named steps are of order 2, and nothing is said."""
+    with pytest.warns(
+        StabilityWarning, match="does not follow the motion at a physics rate of 1000 Hz"
+    ) as said:
+        gained, made, _ = run(ROBOTS["UR5, K x 1e5"](), 1000.0, 0.3, engine=engine)
+    assert len(said) == 1 and gained < 1e-5 and made < 1e-8
+    named = float(str(said[0].message).rsplit("physics rate of ", 1)[1].split(" Hz")[0])
+    assert 1000.0 < named < 5000.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(ROBOTS["UR5, K x 1e5"](), named, 0.3, engine=engine)
+        run(ROBOTS["UR5, K x 1e3"](), 1000.0, 0.1, engine=engine)
+
+
+def test_a_batch_and_a_live_simulation_say_so_too() -> None:
+    model = FlexibleJointModel(ROBOTS["UR5, K x 1e5"](), [])
+    starts = [model.rest(), released(model)]
+    options = RunOptions(rate=1000.0, engine="compiled")
+    with pytest.warns(StabilityWarning, match="does not follow the motion") as said:
+        rollouts(model, starts, np.zeros((300, 6)), options)
+    assert len(said) == 1
+    live = LiveSimulation(model, options, start=released(model))
+    with pytest.warns(StabilityWarning, match="does not follow the motion") as said:
+        for _ in range(4):
+            live.step(100)
+    assert len(said) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rollouts(model, starts[:1], np.zeros((300, 6)), options)
 
 
 def test_both_engines_take_the_same_branches() -> None:
