@@ -4,6 +4,7 @@ PYTHONPATH=tests:. python -m study run   --out FOLDER [--shard 1/2] [--jobs 2] [
 PYTHONPATH=tests:. python -m study table --out FOLDER [--page docs/studies/diagnosis_study.md]
 PYTHONPATH=tests:. python -m study misses --out FOLDER
 PYTHONPATH=tests:. python -m study goals --out FOLDER
+PYTHONPATH=tests:. python -m study smallest [--table docs/site/smallest_sizes.json]
 
 The parts dirty, background and unknown are run when asked for, and their sealed numbers with --sealed only.
 """
@@ -15,6 +16,7 @@ from .cases import COUNTS, USUAL
 from .dirty import goals
 from .page import markdown, misses
 from .run import records, run
+from .smallest import write as write_smallest
 
 
 def shard(text: str) -> tuple[int, int]:
@@ -42,7 +44,12 @@ def main() -> None:
             command.add_argument(
                 "--page", type=Path, metavar="PAGE.md", help="write there, not to the screen"
             )
+    command = commands.add_parser("smallest")
+    command.add_argument("--table", type=Path, default=Path("docs/site/smallest_sizes.json"))
     given = parser.parse_args()
+    if given.command == "smallest":
+        write_smallest(given.table)
+        return
     if given.command == "run":
         try:
             run(given.out, given.shard, given.jobs, given.part, given.every, given.sealed)
