@@ -1,10 +1,10 @@
 """The plain model of an SDF as the URDF of the same robot.
 
 SDF places links, joints and frames by poses that may be relative to any other frame (SDFormat's
-specification, "Pose Frame Semantics"); a URDF has each link at its joint. So every place is computed in the model's frame,
-and the URDF is written from these. Read: links with pose and inertial, joints that turn, slide or are fixed,
-with axis, limits, damping and friction, and frames. What is no plain model is refused; shapes, sensors and
-plugins are left aside.
+specification, "Pose Frame Semantics"); a URDF has each link at its joint. So every place is computed in the
+model's frame, and the URDF is written from these. Read: links with pose and inertial, joints that turn, slide
+or are fixed, with axis, limits, damping and friction, and frames. What is no plain model is refused; shapes,
+sensors and plugins are left aside.
 """
 
 from __future__ import annotations
