@@ -21,6 +21,7 @@ from mujoco import sysid
 from flexjoint_benchmark.adapters.joints import USUAL_TOLERANCE, Machine, answered, finding
 
 CUTOFF = 80.0  # Hz: above the springs' resonances, so that what is fitted is what was measured
+STEP_RATE = 1000.0  # Hz, at which RK4 follows the springs
 WINDOW = 0.3  # s, before an open loop has drifted far from where it started
 WINDOWS = 24
 ITERATIONS = 15
@@ -51,9 +52,10 @@ def find(machine: Machine, folder: Path) -> list[dict[str, Any]]:
 def _model(folder: Path, machine: Machine) -> mujoco.MjSpec:
     data = yaml.safe_load((folder / "robot.yaml").read_text())
     spec = mujoco.MjSpec.from_file(str(folder / data["urdf"]))
-    spec.option.timestep = 1.0 / machine.rate
+    spec.option.timestep = 1.0 / (machine.rate * _finer(machine))
     spec.option.gravity = machine.robot.gravity
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # of order 4: the implicit integrators damp a spring by K h/2, more than its own damper does
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     for joint in machine.joints:
         link = spec.joint(joint.name)
@@ -78,6 +80,11 @@ def _model(folder: Path, machine: Machine) -> mujoco.MjSpec:
     return spec
 
 
+def _finer(machine: Machine) -> int:
+    """Steps of the simulation in one of the recording."""
+    return max(1, round(STEP_RATE / machine.rate))
+
+
 def _set(joint: mujoco.MjsJoint, field: str, value: float) -> None:
     """Stiffness and damping are polynomials in some versions: their first coefficient is the linear one."""
     now = getattr(joint, field)
@@ -85,7 +92,7 @@ def _set(joint: mujoco.MjsJoint, field: str, value: float) -> None:
 
 
 def _sequences(machine: Machine, spec: mujoco.MjSpec, model: mujoco.MjModel) -> sysid.ModelSequences:
-    joints, rate = machine.joints, machine.rate
+    joints, rate, steps = machine.joints, machine.rate, _finer(machine)
     size, length = joints[0].theta.size, round(WINDOW * rate)
     starts = np.linspace(0, size - length - 1, WINDOWS).astype(int)
     controls, seen, states = [], [], []
@@ -94,13 +101,13 @@ def _sequences(machine: Machine, spec: mujoco.MjSpec, model: mujoco.MjModel) -> 
     turns = {j.name: -j.dphi for j in joints if j.dphi is not None}
     for start in starts:
         part = slice(start, start + length)
-        times = np.arange(length) / rate
-        torque = np.stack([j.tau_m[part] for j in joints], axis=1)
+        times, finer = np.arange(length) / rate, np.arange((length - 1) * steps + 1) / (rate * steps)
+        torque = np.stack([np.interp(finer, times, j.tau_m[part]) for j in joints], axis=1)
         columns = {f"theta {j.name}": j.theta[part] for j in joints}
         columns |= {f"bend {name}": bend[part] for name, bend in bends.items()}
-        data = np.stack([columns[name] for name in names], axis=1)
-        controls.append(sysid.TimeSeries.from_control_names(times, torque, model))
-        seen.append(sysid.TimeSeries.from_names(times, data, model))
+        data = np.stack([np.interp(finer, times, columns[name]) for name in names], axis=1)
+        controls.append(sysid.TimeSeries.from_control_names(finer, torque, model))
+        seen.append(sysid.TimeSeries.from_names(finer, data, model))
         position, velocity = np.zeros(model.nq), np.zeros(model.nv)
         for joint in joints:
             at = model.joint(joint.name)
