@@ -56,6 +56,7 @@ def test_the_gallery_tells_each_effect_s_law_size_and_fate(tmp_path: Path) -> No
     effect = fj.catalogue()["backlash"]
     card = gallery["_card"](effect, tmp_path)
     assert effect.law in card and "Here: gap 0.00" in card and "In the study it was named" in card
+    assert "Smallest that was found" in card and "on the lever (1/" in card
     (picture,) = tmp_path.iterdir()
     assert f"gallery_pictures/{picture.name}" in card and picture.stat().st_size < 200_000
     drawn = picture.stat().st_mtime_ns
