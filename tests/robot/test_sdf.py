@@ -264,6 +264,10 @@ def test_what_is_left_aside_is_said(tmp_path: Path) -> None:
         (sdf(ARM.replace('"revolute"', '"ball"')), "joint j: type 'ball' is not read"),
         (sdf(ARM + HINGE.format("k", "b", "a", "")), "the joints form a loop"),
         (sdf(ARM + HINGE.format("k", "a", "b", "")), "loops are not modelled; keep one"),
+        (
+            sdf(ARM + "".join(f'<frame name="f{k}"/>' for k in range(1001))),
+            "1001 frames, expected at most 1000",
+        ),
         (sdf(TWO), "links a and b hang on no joint; a robot has one root"),
         (sdf(TWO + HINGE.format("j", "world", "b", "")), "joint j moves the model in the world"),
         (sdf(TWO + HINGE.format("j", "a", "c", "")), "unknown frame 'c'; valid: a, b, j"),

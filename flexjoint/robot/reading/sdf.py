@@ -83,7 +83,8 @@ class _Reader:
         self.joints = [(xml_file.name_of(e, "joint", where), e) for e in model.findall("joint")]
         if not self.links:
             raise RobotError(f"{where}: the model has no link")
-        xml_file.check_count({"links": len(self.links), "joints": len(self.joints)}, where)
+        counts = {tag: len(model.findall(tag[:-1])) for tag in ("links", "joints", "frames")}
+        xml_file.check_count(counts, where)
         self.frames = self._frames()
         self.placed: dict[str, pin.SE3] = {MODEL: pin.SE3.Identity()}
 
