@@ -27,7 +27,8 @@ WINDOWS = 24
 ITERATIONS = 15
 MOVED, SURE, SHARE = 2.0, 3.0, 0.05  # as in least_squares.py
 FACTOR = 5.0  # bounds: a fifth to five times the nominal number
-LEAST_INERTIA = 1e-6
+FACTOR_OF_MASS = 1.3
+MASS = "mass"
 
 
 def find(machine: Machine, folder: Path) -> list[dict[str, Any]]:
@@ -39,13 +40,14 @@ def find(machine: Machine, folder: Path) -> list[dict[str, Any]]:
     spec = _model(folder, machine)
     model = spec.compile()
     sequences = _sequences(machine, spec, model)
-    parameters = _parameters(machine)
+    parameters = _parameters(machine, spec)
     residual = sysid.build_residual_fn(models_sequences=[sequences])
     with contextlib.redirect_stdout(io.StringIO()):  # its progress
         fitted, result = sysid.optimize(parameters, residual, max_iters=ITERATIONS, verbose=False)
     residuals = residual(result.x, fitted)[0]
     covariance, _ = sysid.calculate_intervals(residuals, result.jac)
-    errors = np.sqrt(np.abs(np.diag(covariance)))
+    # an open loop's error is one over its whole window, and no noise that its samples would average away
+    errors = np.sqrt(np.abs(np.diag(covariance)) * WINDOW * machine.rate * _finer(machine))
     return _named(machine, fitted, errors)
 
 
@@ -102,10 +104,12 @@ def _sequences(machine: Machine, spec: mujoco.MjSpec, model: mujoco.MjModel) -> 
     for start in starts:
         part = slice(start, start + length)
         times, finer = np.arange(length) / rate, np.arange((length - 1) * steps + 1) / (rate * steps)
-        torque = np.stack([np.interp(finer, times, j.tau_m[part]) for j in joints], axis=1)
+        step = 1.0 / (rate * steps)  # over which MuJoCo holds a command
+        torque = np.stack([np.interp(finer + 0.5 * step, times, j.tau_m[part]) for j in joints], axis=1)
         columns = {f"theta {j.name}": j.theta[part] for j in joints}
         columns |= {f"bend {name}": bend[part] for name, bend in bends.items()}
-        data = np.stack([np.interp(finer, times, columns[name]) for name in names], axis=1)
+        # its rollout reads sensors where a step begins, and sysid takes them for where it ends
+        data = np.stack([np.interp(finer - step, times, columns[name]) for name in names], axis=1)
         controls.append(sysid.TimeSeries.from_control_names(finer, torque, model))
         seen.append(sysid.TimeSeries.from_names(finer, data, model))
         position, velocity = np.zeros(model.nq), np.zeros(model.nv)
@@ -122,7 +126,7 @@ def _sequences(machine: Machine, spec: mujoco.MjSpec, model: mujoco.MjModel) -> 
     return sysid.ModelSequences("robot", spec, [f"at {s}" for s in starts], states, controls, seen)
 
 
-def _parameters(machine: Machine) -> sysid.ParameterDict:
+def _parameters(machine: Machine, spec: mujoco.MjSpec) -> sysid.ParameterDict:
     out = sysid.ParameterDict()
 
     def add(name: str, nominal: float, low: float, high: float, joint: str, field: str) -> None:
@@ -141,9 +145,23 @@ def _parameters(machine: Machine) -> sysid.ParameterDict:
                 numbers["spring_damping"] = (joint.spring_damping, f"spring {joint.name}", "damping")
         for effect, (nominal, where, field) in numbers.items():
             add(f"{effect} {joint.name}", nominal, nominal / FACTOR, nominal * FACTOR, where, field)
+        out.add(_mass(spec, joint.name))
         level = float(np.sqrt(np.mean(joint.tau_m**2)))
         add(f"motor_coulomb_friction {joint.name}", 0.02 * level, 0.0, level, joint.name, "frictionloss")
     return out
+
+
+def _mass(spec: mujoco.MjSpec, joint: str) -> sysid.Parameter:
+    """A factor on the mass and inertia of a joint's link, which are as uncertain as the rest: closed, they
+    would be made up for by what is open."""
+    link = spec.joint(joint).parent
+    mass, inertia = float(link.mass), np.array(link.fullinertia)
+
+    def apply(changed: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
+        body, factor = changed.joint(joint).parent, float(parameter.value[0])
+        body.mass, body.fullinertia = factor * mass, factor * inertia
+
+    return sysid.Parameter(f"{MASS} {joint}", 1.0, 1.0 / FACTOR_OF_MASS, FACTOR_OF_MASS, modifier=apply)
 
 
 def _named(machine: Machine, fitted: sysid.ParameterDict, errors: np.ndarray) -> list[dict[str, Any]]:
@@ -156,6 +174,8 @@ def _named(machine: Machine, fitted: sysid.ParameterDict, errors: np.ndarray) ->
     out = []
     for (key, parameter), error in zip(fitted.items(), errors, strict=True):
         effect, _, name = key.partition(" ")
+        if effect == MASS:
+            continue
         joint, value, nominal = by_name[name], float(parameter.value[0]), float(parameter.nominal[0])
         if effect == "motor_coulomb_friction":
             least = SHARE * float(np.sqrt(np.mean(joint.tau_m**2)))
