@@ -13,6 +13,7 @@ import pytest
 from support.robots.arms import waves
 from support.robots.coupled_robots import DIFFERENTIAL, THROUGH, Matrix, coupled
 
+from flexjoint.core.errors import RobotError
 from flexjoint.effects import Planned, catalogue, effect
 from flexjoint.export.base import Level
 from flexjoint.export.mjcf import Mjcf
@@ -164,6 +165,25 @@ def test_what_init_reads_is_what_was_exported(matrix: Matrix, rigid: bool, tmp_p
     for key, p in given.items():
         for param in catalogue()[key[0]].params:
             assert getattr(found[key], param.name) == pytest.approx(getattr(p, param.name), rel=1e-6), key
+
+
+@pytest.mark.parametrize(
+    ("found", "put"),
+    [
+        ('<joint joint="rotor.roll" coef="1.0"', '<joint joint="rotor.yaw" coef="1.0"'),
+        ('<fixed name="motor.roll"', '<fixed name="other.roll"'),
+        ('joint="rotor.roll"', 'joint="payload"'),
+    ],
+)
+def test_an_edited_coupling_is_refused_in_one_line(found: str, put: str, tmp_path: Path) -> None:
+    text = exported(arm_of(THROUGH, False), "mjcf").text
+    tendons = text.index("<tendon>")
+    edited = text[:tendons] + text[tendons:].replace(found, put)
+    assert edited != text
+    (tmp_path / "arm.xml").write_text(edited)
+    with pytest.raises(RobotError, match="export it anew") as error:
+        draft(str(tmp_path / "arm.xml"), tmp_path / "arm.yaml")
+    assert "\n" not in str(error.value)
 
 
 # --- what is not carried ------------------------------------------------------------------------------------

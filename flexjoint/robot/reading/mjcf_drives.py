@@ -96,14 +96,43 @@ class _Reader:
 
     def _turns(self, name: str) -> dict[str, float]:
         """Shares of the joints in the position of a coupled motor, by joint."""
-        shares = self._shares(self.tendons[f"{MOTOR}{name}"])
-        return {joint.removeprefix(ROTOR): share for joint, share in shares.items()}
+        shares = self._by_joint(f"{MOTOR}{name}")
+        if not shares:
+            raise self._edited(f"{MOTOR}{name}")
+        return shares
+
+    def _by_joint(self, tendon: str) -> dict[str, float]:
+        """Shares of the joints that have a motor in a tendon."""
+        shares = self._shares(self.tendons[tendon])
+        by_joint = {hinge.removeprefix(ROTOR): share for hinge, share in shares.items()}
+        if not by_joint.keys() <= set(self.names):
+            raise self._edited(tendon)
+        return by_joint
+
+    def _edited(self, tendon: str) -> RobotError:
+        return RobotError(
+            f"{self.where}: tendon '{shown(tendon)}' does not turn with joints that have motors, as exported"
+            " files have it; export it anew"
+        )
+
+    def _matrix(self, group: list[str]) -> np.ndarray:
+        """(k, k) of a coupling; RobotError where it has no inverse."""
+        matrix = np.array([[self._turns(motor).get(joint, 0.0) for joint in group] for motor in group])
+        if np.linalg.matrix_rank(matrix) < len(group):
+            raise self._edited(f"{MOTOR}{group[0]}")
+        return matrix
+
+    def _group(self, name: str) -> list[str]:
+        group = next(group for group in self._groups(self.names_coupled) if name in group)
+        lacking = [joint for joint in group if not self._coupled(joint)]
+        if lacking:
+            raise self._edited(f"{MOTOR}{lacking[0]}")
+        return group
 
     def _couplings(self) -> list[Entry]:
         out: list[Entry] = []
         for group in self._groups(self.names_coupled):
-            rows = [[self._turns(name).get(joint, 0.0) for joint in group] for name in group]
-            out.append({"joints": group, "matrix": rows})
+            out.append({"joints": group, "matrix": self._matrix(self._group(group[0])).tolist()})
         return out
 
     def _groups(self, motors: list[str]) -> list[list[str]]:
@@ -119,14 +148,16 @@ class _Reader:
 
     def _shared_gains(self, name: str) -> float:
         """The gain of a coupled motor, from what the commands at its joints pull: N' G N'^-1."""
-        group = next(group for group in self._groups(self.names_coupled) if name in group)
-        turns = np.array([[self._turns(motor).get(joint, 0.0) for joint in group] for motor in group])
+        group = self._group(name)
+        turns = self._matrix(group)
         pulls = np.zeros((len(group), len(group)))
         for column, joint in enumerate(group):
-            tendon = self.tendons.get(f"{DRIVE}{joint}")
-            shares = {joint: 1.0} if tendon is None else self._shares(tendon)
-            for hinge, share in shares.items():
-                pulls[group.index(hinge.removeprefix(ROTOR)), column] = share
+            tendon = f"{DRIVE}{joint}"
+            shares = self._by_joint(tendon) if tendon in self.tendons else {joint: 1.0}
+            if not shares.keys() <= set(group):
+                raise self._edited(tendon)
+            for pulled, share in shares.items():
+                pulls[group.index(pulled), column] = share
         place = group.index(name)
         return float(np.linalg.solve(turns.T, pulls @ turns.T)[place, place])
 
@@ -181,11 +212,11 @@ class _Reader:
         """Of a rotor about its joint [1/(kg m^2)]."""
         if not self._coupled(name):
             return 1.0 / max(inertia, 1e-12)
-        group = next(group for group in self._groups(self.names_coupled) if name in group)
-        N = np.array([[self._turns(motor).get(joint, 0.0) for joint in group] for motor in group])
-        B = np.diag([self._number(self.tendons[f"{MOTOR}{motor}"], "armature") for motor in group])
+        group = self._group(name)
+        inverse = np.linalg.inv(self._matrix(group))
+        motors = [self._number(self.tendons[f"{MOTOR}{motor}"], "armature") for motor in group]
         place = group.index(name)
-        return float(np.linalg.inv(N.T @ B @ N)[place, place])
+        return float(np.sum(inverse[place] ** 2 / np.maximum(motors, 1e-12)))
 
     # --- effects --------------------------------------------------------------------------------------------
     def _effects(self, name: str, rotor: Element | None) -> Iterator[tuple[str, dict[str, Any]]]:
