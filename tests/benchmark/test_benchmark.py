@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from support.pages import ROOT
+from support.thorough import thorough
 
 from flexjoint.cli.main import main
 from flexjoint.effects import catalogue
@@ -208,6 +209,7 @@ def test_least_squares_names_friction_and_its_level(tmp_path: Path) -> None:
     assert value == pytest.approx(level, rel=0.1)
 
 
+@thorough
 def test_mujoco_sysid_finds_that_friction_and_nothing_on_a_healthy_machine(tmp_path: Path) -> None:
     pytest.importorskip("mujoco.sysid", reason="mujoco[sysid] is not installed")
     from planting import ROBOTS, Planted, plant
