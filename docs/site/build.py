@@ -39,7 +39,8 @@ LINKED = (  # files that pages link to, and that are no pages
 TREES = {  # pages of a section, in order; a page that is not named follows those of its room
     "Start": ("docs/start/start", "docs/start/demo", "docs/start/rigid_robots", "docs/start/*"),
     "How to": (
-        "docs/howto/importing", "docs/howto/planning_experiments", "docs/howto/gain_design",
+        "docs/howto/importing", "docs/howto/exporting", "docs/howto/several_recordings",
+        "docs/howto/planning_experiments", "docs/howto/gain_design",
         "docs/howto/viewing", "docs/howto/adding_an_effect", "docs/howto/testing", "docs/howto/*",
     ),
     "Notebooks": ("notebooks/*",),

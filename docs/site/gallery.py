@@ -2,13 +2,15 @@
 
 One joint (a lever under gravity; two for a coupling of joints) follows the same motion with and without the
 effect, of the size that the study plants. Sizes are the generator's, figures those of
-docs/studies/diagnosis_study.md.
+docs/studies/diagnosis_study.md; the smallest sizes that were found are in smallest_sizes.json, written by
+`python -m study smallest`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import inspect
+import json
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ import matplotlib.style
 import numpy as np
 import pinocchio as pin
 from flexjoint_benchmark.planting import ROBOTS
+from flexjoint_benchmark.planting.catalogue import law
 from flexjoint_benchmark.planting.sizes import usual_effect
 from matplotlib.figure import Figure
 
@@ -43,6 +46,8 @@ TOLD_APART = (  # docs/explained/diagnosis.md, "Ties": what looks alike in a poo
     ("torque_gain", "torque_sensor_gain", "a second recording with a known payload"),
     ("sensor_delay", "link_viscous_friction", "q and tau_t"),
 )
+REACHED = ("torque_saturation", "torque_speed_limit", "end_stop")  # limits: as large as the motion meets ...
+BEYOND = 0.45  # ... with this share of its largest value, times a size (planting.cases.met_by)
 HEAD = """\
 # Gallery of effects
 
@@ -50,7 +55,9 @@ Generated from the catalogue by `make site`. A lever on a flexible joint (two jo
 the same motion with and without the effect, of the size that
 [the study](docs/studies/diagnosis_study.md) plants. Left: the residual of the torque balance in which it
 shows most, over the signal that it depends on (the nominal model's is zero). Right: how far the link
-goes astray in the simulation. Definitions, ranges and defaults: [effects](docs/reference/effects.md).
+goes astray in the simulation. The smallest sizes are of one machine, one motion and one draw of the noise
+each, on robots whose files trust their numbers to 2 %: what lies within that is no finding. Definitions,
+ranges and defaults: [effects](docs/reference/effects.md).
 """
 
 
@@ -82,7 +89,7 @@ def _card(effect: Effect, folder: Path) -> str:
         f"{k} {_number(v)} {units.get(k, '').replace('1', '')}".strip() for k, v in planted.items()
     )
     lines.append(f"Here: {size}. Reference: {effect.reference or 'none'}.")
-    lines.append(" ".join([*_alike(effect), *_study(effect.name)]))
+    lines.append(" ".join([*_alike(effect), *_study(effect.name), *_smallest(effect)]))
     return "\n\n".join(line for line in lines if line)
 
 
@@ -138,6 +145,40 @@ def _study(name: str) -> list[str]:
     said += f", beside a tie in {tied} more." if tied else "."
     wrong = row.get("false names", "")
     return [said, *([f"Named in its place: {wrong}."] if wrong else [])]
+
+
+@cache
+def _sizes() -> dict[str, list[dict[str, Any]]]:
+    """Rows of the smallest sizes by effect (`tests/study/smallest.py` wrote them)."""
+    rows: dict[str, list[dict[str, Any]]] = {}
+    table = json.loads((Path(__file__).parent / "smallest_sizes.json").read_text(encoding="utf-8"))
+    for row in table["rows"]:
+        rows.setdefault(row["effect"], []).append(row)
+    return rows
+
+
+def _smallest(effect: Effect) -> list[str]:
+    """The smallest size that was found on two robots of the study."""
+    said = []
+    for row in _sizes().get(effect.name, []):
+        found, robot = row["found"], row["robot"]
+        if found is None:
+            said.append(f"not at its usual size on the {robot} ({row['missed']})")
+            continue
+        numbers = {name: x for name, x in found["parameters"].items() if isinstance(x, int | float)}
+        name = law(effect.name).required[0]
+        if effect.name == "base_tilt":  # what is turned about a joint's own axis shows nothing
+            name = max(numbers, key=lambda key: abs(numbers[key]))
+        units = {param.name: param.unit for param in effect.params}
+        value = f"{_number(abs(numbers[name]))} {units.get(name, '').replace('1', '')}".strip()
+        share = f"1/{round(1 / found['size'])} of the usual size" if found["size"] < 1.0 else "the usual size"
+        if effect.name in REACHED:
+            share = f"which the motion meets with the last {_number(100 * BEYOND * found['size'])} %"
+        least = "" if row["missed"] else ", the least that was tried"
+        said.append(f"{name} {value} on the {robot} ({share}{least})")
+    if not said:
+        return []
+    return [f"Smallest that was found, of sizes halved, with full sensors in 10 s: {'; '.join(said)}."]
 
 
 # --- pictures ---------------------------------------------------------------------------------------------

@@ -116,10 +116,11 @@ def place(
     """Gains on the full state that put the closed loop's poles where they are wanted, by `control.place`.
 
     Args:
-        poles: nx continuous poles [1/s], conjugate pairs; none may come more often than there are motors.
+        poles: (nx,) continuous poles [1/s], conjugate pairs; none may come more often than there are motors.
             With a rate they are mapped to exp(pole / rate), and further poles of dead times go to 0.
 
-    The rest is as for `lqr`.
+    The rest is as for `lqr`. Raises ModelError for another number of poles, and for more than one tick of
+    dead time.
     """
     linear, plant = _plants(model, at, rate, delay, nonsmooth, amplitude)
     wanted = np.asarray(poles, dtype=complex)

@@ -180,13 +180,14 @@ def stiffness_locus(
     amplitude: Mapping[str, float] | None = None,
 ) -> control.PoleZeroData:
     """Poles while the stiffness of a joint varies (or, without a joint, a factor on all), as python-control's
-    data of a root
-    locus: `loci` (N, nx) over `gains` (N,), and `.plot()`.
+    data of a root locus: `loci` (N, nx) over `gains` (N,), and `.plot()`.
 
     Args:
         stiffness: (N,) values of K [N m/rad], or factors, increasing.
         gains: closes the loop, continuously (default: open).
         nonsmooth, amplitude: see `linearise`.
+
+    Raises ModelError for stiffnesses that do not increase from above 0, and what `linearise` raises.
     """
     python_control()
     from control.pzmap import PoleZeroData

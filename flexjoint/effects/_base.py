@@ -183,6 +183,7 @@ class Effect:
     # --- derived ---------------------------------------------------------------------------------
     @property
     def name(self) -> str:
+        """As files and `effect` take it: motor_coulomb_friction of MotorCoulombFriction."""
         return _name(type(self))  # type: ignore[arg-type]
 
     def overrides(self, method: str) -> bool:

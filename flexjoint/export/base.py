@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from flexjoint.effects import Planned
+from flexjoint.effects import Planned, Site
 from flexjoint.export.subject import Subject
 from flexjoint.robot.robot import Robot
 
@@ -48,6 +48,7 @@ def absent(why: str) -> Way:
 
 UNMAPPED = absent("this export has no mapping for it")
 LATER = "a file holds what is always there, and this sets in later"
+ALONE = "its motor turns several joints, and in the file this one alone"
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,15 @@ LEFT_OUT = {  # of NUMBERS, what a file does not hold unless its target says so
 }
 
 
+def coupled(robot: Robot) -> set[str]:
+    """The joints whose motors turn with others, too."""
+    return {robot.joint_names[i] for coupling in robot.couplings for i in coupling.joints}
+
+
+def _on_a_motor(planned: Planned) -> bool:
+    return planned.effect.site in (Site.COMMAND, Site.MOTOR)
+
+
 def lines(account: Sequence[Row]) -> Iterator[str]:
     """The account as text, by level; what is carried alike on several joints is one line."""
     for level in Level:
@@ -106,17 +116,25 @@ class Target(ABC):
         """How well it carries a number of the robot, by its key in NUMBERS."""
         return self.numbers.get(name, LEFT_OUT.get(name, UNMAPPED))
 
+    def of_robots(self, robot: Robot, name: str) -> Way:
+        """How well it carries a number of this robot: as `of_number`, or less."""
+        return self.of_number(name)
+
     def of_effect(self, name: str) -> Way:
         """How well it carries an effect of the catalogue, at best."""
         return self.effects.get(name, UNMAPPED)
 
     def judge(self, robot: Robot, planned: Planned) -> Way:
         """How well it carries this effect of this robot: as `of_effect`, or less."""
-        return self.of_effect(planned.effect.name) if planned.since is None else absent(LATER)
+        if planned.since is not None:
+            return absent(LATER)
+        way = self.of_effect(planned.effect.name)
+        lost = way.level is Level.EXACT and self.of_robots(robot, "couplings").level is Level.NONE
+        return near(ALONE) if lost and _on_a_motor(planned) and planned.joint in coupled(robot) else way
 
     def account(self, robot: Robot) -> tuple[Row, ...]:
         """How well it carries what this robot has: its numbers, then its effects in their order."""
-        own = [Row(what, None, self.of_number(what)) for what, has in NUMBERS.items() if has(robot)]
+        own = [Row(what, None, self.of_robots(robot, what)) for what, has in NUMBERS.items() if has(robot)]
         return (*own, *(Row(e.effect.name, e.joint, self.judge(robot, e)) for e in robot.effects))
 
     @abstractmethod

@@ -19,19 +19,25 @@ import pinocchio as pin
 
 from flexjoint.core.errors import RobotError
 from flexjoint.effects import Drive, Planned, Site
-from flexjoint.export.base import Level, Row, Target, Way, absent, exact, lines, near
+from flexjoint.export import mjcf_couplings
+from flexjoint.export.base import Level, Row, Target, Way, absent, coupled, exact, lines, near
+from flexjoint.export.mjcf_couplings import VERSION, SharedMotors
 from flexjoint.export.rigid import STALL
 from flexjoint.export.subject import Body, Subject
 from flexjoint.export.xml import child, note, quaternion, whole
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.robot.reading.mjcf_drives import (
+    BIAS,
     CREEP,
     DRIVE,
     MARK,
+    MOTOR,
+    OFFSET,
     PRELOAD,
     PULL,
     RK4,
     ROTOR,
+    SHARED,
     SOFT,
     SPRING,
     STOP,
@@ -51,6 +57,7 @@ STIFF = ("cable_spring", "end_stop", "spring_creep", "spring_hysteresis", "dahl_
 FAINT = "1e-9 1e-9"  # N m/A: a motor constant, of which MuJoCo wants some; it brakes by its square
 STICK = "0.9999 0.9999 0.001 0.5 2"  # the hardest that MuJoCo's solver takes: what rests creeps least
 COMMANDS = ("current_lag", "torque_saturation", "torque_speed_limit")  # that a ripple passes through
+OF_A_MOTOR = ("current_lag", "torque_saturation", "torque_speed_limit")  # no linear map of commands
 LATER = "MuJoCo {} or newer"
 
 POLYNOMIAL = LATER.format("3.7")
@@ -71,6 +78,7 @@ class Mjcf(Target):
         "sensing_delay": absent("it belongs to the control law; delay what that reads"),
         "gravity": exact("option gravity; the base frame is the world's"),
         "contacts": absent("add geoms and a ground"),
+        "couplings": exact(f"a tendon of the joints it turns is the motor, with its armature ({VERSION})"),
     }
     effects: ClassVar[Mapping[str, Way]] = {
         "asymmetric_friction": exact(
@@ -84,7 +92,7 @@ class Mjcf(Target):
         "cable_spring": exact("stiffness and springref of the link's hinge"),
         "cogging": exact(f"cogging of a passive dcmotor ({PASSIVE})"),
         "current_lag": exact("dyntype filter of the actuator"),
-        "coupled_friction": absent("the file's frictions act on one joint each"),
+        "coupled_friction": exact("frictionloss and damping of a tendon of both hinges"),
         "dahl_friction": exact(f"lugre of a passive dcmotor, without its damping ({PASSIVE})"),
         "drive_efficiency": absent("MuJoCo's friction knows no load"),
         "encoder_eccentricity": absent("MuJoCo's sensors read true; add it to what you read"),
@@ -125,8 +133,13 @@ class Mjcf(Target):
         "transmission_error": absent("MuJoCo's tendons are linear in the angles"),
     }
 
+    def of_robots(self, robot: Robot, name: str) -> Way:
+        if name == "couplings" and not SharedMotors(robot).all_carried:
+            return absent("MuJoCo has inertia between rigid joints of one branch only: each motor turns one")
+        return super().of_robots(robot, name)
+
     def judge(self, robot: Robot, planned: Planned) -> Way:
-        way = super().judge(robot, planned)
+        way = self._of_shared_motor(robot, planned) or super().judge(robot, planned)
         if way.level is Level.NONE or planned.joint is None:
             return way
         return self._here(robot, planned, planned.joint) or way
@@ -137,6 +150,11 @@ class Mjcf(Target):
         name, p = planned.effect.name, planned.p
         if name == "joint_coupling":
             return self._coupling(robot, planned)
+        if name == "coupled_friction":
+            place = robot.joint_names.index(joint)
+            if place == 0 or robot.joints[place].rigid is not robot.joints[place - 1].rigid:
+                return absent("it takes a joint and the one before it, both rigid or both flexible")
+            return None
         special = {
             "cogging": (
                 bool(beside & set(COMMANDS)),
@@ -161,6 +179,16 @@ class Mjcf(Target):
         }
         less, way = special.get(name, (False, None))
         return way if less else None
+
+    @staticmethod
+    def _of_shared_motor(robot: Robot, planned: Planned) -> Way | None:
+        """What is not carried of a command at coupled joints."""
+        shared, name = coupled(robot), planned.effect.name
+        if planned.joint in shared and name in OF_A_MOTOR:
+            return absent("the actuators command torques at joints, and this acts on that of a shared motor")
+        if name == "joint_coupling" and {planned.joint, neighbour(robot, planned)} & shared:
+            return absent("it takes a share of the command of a motor that joints share")
+        return None
 
     @staticmethod
     def _coupling(robot: Robot, planned: Planned) -> Way | None:
@@ -235,6 +263,7 @@ class _Writer:
         }
         bare = [e for e in subject.effects if e.effect.name != "payload" or str(e.joint) not in self.payloads]
         self.bodies = subject.bodies_with(FlexibleJointModel(self.robot, bare))
+        self.shared = SharedMotors(self.robot)
         self.root = Element("mujoco", model=self.robot.name)
         self.raised: list[str] = []
 
@@ -252,9 +281,13 @@ class _Writer:
         world = child(self.root, "worldbody")
         self._links(world)
         self.tendons, self.actuators = child(self.root, "tendon"), child(self.root, "actuator")
+        self.branches: dict[tuple[int, ...], Element] = {}  # by coupling: the rotor that carries the next
         for joint in self.robot.joint_names:
             if not self.robot.joint(joint).rigid:
                 self._rotor(world, joint)
+            if self.shared.of(joint) is not None:
+                self._motor(joint)
+            self._shared_friction(joint)
             self._stop(joint)
             self._command(joint)
             self._passive(joint)
@@ -315,7 +348,7 @@ class _Writer:
         number = self.subject.number
         armature, friction, bias = body.armature, number("link_coulomb_friction", body.joint, "level"), 0.0
         damping = number("link_viscous_friction", body.joint, "coefficient")
-        if joint is not None and joint.rigid:
+        if joint is not None and joint.rigid and self.shared.of(body.joint) is None:
             drive = self.subject.drive(body.joint)
             level, bias = self._rubbing(body.joint)
             armature, damping, friction = armature + drive.B, damping + drive.D_m, friction + level
@@ -384,25 +417,24 @@ class _Writer:
     def _rotor(self, world: Element, joint: str) -> None:
         subject, drive = self.subject, self.subject.drive(joint)
         level, bias = self._rubbing(joint)
-        self._extra_hinge(
-            world,
-            f"{ROTOR}{joint}",
-            armature=drive.B,
-            damping=drive.D_m or None,
-            stiffness=PULL if bias else None,
-            springref=bias / PULL if bias else None,
-            **self._dry(level),
-        )
+        coupling = self.shared.of(joint)
+        if coupling is not None:
+            branch = self.branches.get(coupling.joints, world)
+            self.branches[coupling.joints] = self._extra_hinge(branch, f"{ROTOR}{joint}")
+        else:
+            self._extra_hinge(
+                world,
+                f"{ROTOR}{joint}",
+                armature=drive.B,
+                damping=drive.D_m or None,
+                stiffness=PULL if bias else None,
+                springref=bias / PULL if bias else None,
+                **self._dry(level),
+            )
         self._spring(joint, drive)
         preload = subject.number("spring_preload", joint, "torque")
-        if preload:
-            sign = -math.copysign(1.0, preload)  # tau_t > 0 pulls the rotor back
-            self._tendon(
-                f"{PRELOAD}{joint}",
-                {f"{ROTOR}{joint}": sign, joint: -sign},
-                stiffness=PULL,
-                springlength=abs(preload) / PULL,
-            )
+        if preload:  # tau_t > 0 pulls the rotor back
+            self._constant(f"{PRELOAD}{joint}", {f"{ROTOR}{joint}": -1.0, joint: 1.0}, preload)
         creep = subject.find("spring_creep", joint)
         if creep is not None and creep.stiffness > 0.0:
             # Maxwell: a spring k and a damper k T in series; z is what stretches the spring
@@ -415,6 +447,40 @@ class _Writer:
                 springlength=0.0,
             )
 
+    def _motor(self, joint: str) -> None:
+        """The motor of a coupled joint: what it has acts along the joints that it turns."""
+        drive, (level, bias) = self.subject.drive(joint), self._rubbing(joint)
+        turns = {self._hinge(other): share for other, share in self.shared.turns(joint).items()}
+        self._tendon(
+            f"{MOTOR}{joint}", turns, armature=drive.B, damping=drive.D_m or None, **self._dry(level)
+        )
+        for name, torque in (
+            (BIAS, bias),
+            (OFFSET, self.subject.number("torque_offset", joint, "offset")),
+        ):
+            if torque:
+                self._constant(f"{name}{joint}", turns, torque)
+
+    def _shared_friction(self, joint: str) -> None:
+        """Friction of a shaft that turns with this joint and the one before it."""
+        planned = next((e for e in self.subject.effects if e.key == ("coupled_friction", joint)), None)
+        if planned is None:
+            return
+        before = self.robot.joint_names[self.robot.joint_names.index(joint) - 1]
+        own, other = planned.effect.shares(planned.p)
+        self._tendon(
+            f"{SHARED}{joint}",
+            {self._hinge(joint): float(own), self._hinge(before): float(other)},
+            damping=planned.p.coefficient or None,
+            **self._dry(planned.p.level),
+        )
+
+    def _constant(self, name: str, along: dict[str, float], torque: float) -> None:
+        """A constant torque along a tendon: a soft spring that is stretched far."""
+        sign = math.copysign(1.0, torque)
+        shares = {joint: sign * share for joint, share in along.items()}
+        self._tendon(name, shares, stiffness=PULL, springlength=abs(torque) / PULL)
+
     def _spring(self, joint: str, drive: Drive) -> None:
         play = self.subject.number("backlash", joint, "gap")
         cubic = self.subject.number("hardening_spring", joint, "cubic")
@@ -426,7 +492,7 @@ class _Writer:
         if play > 0.0:
             # a limit of impedance d has the force -(k r + b v + dv/dt) / R, R = (1 - d)/d A, with the inverse
             # inertia A at the file's pose (MuJoCo's documentation, Solver parameters): here K and D
-            band, share = (-0.5 * play, 0.5 * play), (1.0 - SOFT) * self._inverse_inertia(joint, drive)
+            band, share = (-0.5 * play, 0.5 * play), (1.0 - SOFT) * self._inverse_inertia(joint)
             linear = {
                 "range": band,
                 "solreflimit": (-drive.K * share, -drive.D * share),
@@ -436,12 +502,13 @@ class _Writer:
                 linear.update(stiffness=(0.0, 0.0, cubic), springlength=band)
         self._tendon(f"{SPRING}{joint}", {f"{ROTOR}{joint}": 1.0, joint: -1.0}, **linear)
 
-    def _inverse_inertia(self, joint: str, drive: Drive) -> float:
+    def _inverse_inertia(self, joint: str) -> float:
         """Of theta - q, where all positions are 0 [1/(kg m^2)]."""
-        place = self.robot.joint(joint).idx_v
-        return float(inverse_inertias(self.subject.model)[place]) + 1.0 / (drive.B + SPECK)
+        place, model = self.robot.joint(joint).idx_v, self.subject.model
+        rotor = mjcf_couplings.mobility(model, self.robot.joint_names.index(joint))
+        return float(inverse_inertias(model)[place]) + rotor
 
-    def _extra_hinge(self, world: Element, name: str, **attributes: object) -> None:
+    def _extra_hinge(self, world: Element, name: str, **attributes: object) -> Element:
         if self.robot.model.existJointName(name):
             raise RobotError(
                 f"{self.robot.name}: joint {name} has the name of a hinge that the file needs; rename it"
@@ -449,6 +516,7 @@ class _Writer:
         body = child(world, "body", name=name)
         child(body, "joint", name=name, type="hinge", axis="0 0 1", **attributes)
         child(body, "inertial", pos="0 0 0", mass=SPECK, diaginertia=(SPECK,) * 3)
+        return body
 
     def _tendon(self, name: str, joints: dict[str, float], **attributes: object) -> None:
         tendon = child(self.tendons, "fixed", name=name, **attributes)
@@ -480,11 +548,11 @@ class _Writer:
         attributes: dict[str, object] = {
             "name": joint,
             **self._pulled(joint),
-            "gainprm": gain,
+            "gainprm": gain if self.shared.of(joint) is None else 1.0,
             "ctrlrange": (-limit, limit) if limit < math.inf else None,
             "forcerange": (-most, most) if most < math.inf else None,
         }
-        if offset:
+        if offset and self.shared.of(joint) is None:
             attributes.update(biastype="affine", biasprm=(offset, 0.0, 0.0))
         if lag > 0.0:
             kind = "filter" if lag > SLOW * self.step else "filterexact"
@@ -508,16 +576,29 @@ class _Writer:
 
     def _pulled(self, joint: str) -> dict[str, object]:
         """What the actuator of a joint pulls: its hinge, or a tendon of it and the hinges of coupled ones."""
+        if self.shared.of(joint) is not None:
+            gains = {name: _gain(self.robot, name) for name in self.robot.joint_names}
+            pulls = {self._hinge(name): share for name, share in self.shared.pulls(joint, gains).items()}
+            return self._along(joint, pulls)
         shares = {}
         for planned in self.subject.effects:
-            coupled = planned.effect.name == "joint_coupling"
-            if coupled and neighbour(self.robot, planned) == joint and planned.joint is not None:
+            reaches = planned.effect.name == "joint_coupling"
+            if reaches and neighbour(self.robot, planned) == joint and planned.joint is not None:
                 own = _gain(self.robot, planned.joint) / _gain(self.robot, joint)
                 shares[self._hinge(planned.joint)] = planned.p.share * own
-        if not shares:
+        return self._along(joint, {self._hinge(joint): 1.0, **shares})
+
+    def _along(self, joint: str, shares: dict[str, float]) -> dict[str, object]:
+        if set(shares) == {self._hinge(joint)} and math.isclose(shares[self._hinge(joint)], 1.0):
             return {"joint": self._hinge(joint)}
-        self._tendon(f"{DRIVE}{joint}", {self._hinge(joint): 1.0, **shares})
+        self._tendon(f"{DRIVE}{joint}", shares)
         return {"tendon": f"{DRIVE}{joint}"}
+
+    def _shaft(self, joint: str) -> dict[str, str]:
+        """What turns with the motor of a joint."""
+        if self.shared.of(joint) is not None:
+            return {"tendon": f"{MOTOR}{joint}"}
+        return {"joint": self._hinge(joint)}
 
     def _passive(self, joint: str) -> None:
         """Motors without a command: the torques of their gears and bristles alone."""
@@ -529,12 +610,12 @@ class _Writer:
                 self.actuators,
                 "dcmotor",
                 name=f"cogging.{joint}",
-                joint=self._hinge(joint),
+                **self._shaft(joint),
                 **motor,
                 cogging=wave,
             )
         for effect, where in (
-            ("dahl_friction", {"joint": self._hinge(joint)}),
+            ("dahl_friction", self._shaft(joint)),
             ("spring_hysteresis", {"tendon": f"{SPRING}{joint}"}),
         ):
             loop = self.subject.find(effect, joint)

@@ -17,6 +17,7 @@ from flexjoint.export.urdf import heading
 from flexjoint.export.xml import child, text, whole
 
 VERSION = "1.9"  # of the format
+NOTHING_MUCH = 1e-9  # kg and kg m^2, of a link that has no mass: SDF wants some
 READ = "Drake reads it so; not verified in Gazebo"
 
 
@@ -77,8 +78,8 @@ def _link(model: Element, name: str, inertia: pin.Inertia, parent: str | None, p
     link = child(model, "link", name=name)
     pose = child(link, "pose", relative_to=parent)
     pose.text = text([*place.translation, *pin.rpy.matrixToRpy(place.rotation)])
-    if inertia.mass == 0.0:
-        return
+    if inertia.mass == 0.0:  # a link without an inertial weighs 1 kg to SDF
+        inertia = pin.Inertia(NOTHING_MUCH, np.zeros(3), NOTHING_MUCH * np.eye(3))
     inertial = child(link, "inertial")
     child(inertial, "pose").text = text([*inertia.lever, 0.0, 0.0, 0.0])
     child(inertial, "mass").text = text(inertia.mass)

@@ -82,6 +82,7 @@ def html(fleet: Fleet) -> str:
         more=max(0, len(unusable) - UNUSABLE),
         recordings=sum(len(period.readings) for period in fleet.periods),
         version=release(),
+        script=None,  # nothing to enlarge or sort
     )
 
 

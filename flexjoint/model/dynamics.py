@@ -243,6 +243,7 @@ class FlexibleJointModel:
     # --- numbers or expressions ------------------------------------------------------------------
     @property
     def symbolic(self) -> bool:
+        """Whether its values are CasADi expressions."""
         return self._body_kind is not PinBody
 
     def vector(self, values: Iterable[Value]) -> Value:
@@ -250,6 +251,7 @@ class FlexibleJointModel:
         return ops.vector(values, self.symbolic)
 
     def zeros(self, size: int) -> Value:
+        """(size,) zeros, NumPy or CasADi as the model is."""
         return ops.zeros(size, self.symbolic)
 
     # --- states ----------------------------------------------------------------------------------
@@ -270,6 +272,7 @@ class FlexibleJointModel:
 
     @property
     def nx(self) -> int:
+        """Size of the state x, whose entries `state_names` has."""
         return self.nq + self.nv + 2 * self.nf + self.nz
 
     def slot(self, effect: str, joint: str) -> int:

@@ -21,7 +21,7 @@ from flexjoint.report import series
 INK, RULE = "#1f2933", "#cbd2d9"
 MEASURED, BEFORE, AFTER = "#9aa5b1", "#c2570c", "#0b5cad"
 SIZE = (4.6, 2.35)  # inches; two of them side by side on a desk, one below the other on a phone
-MARGINS = {"left": 0.175, "right": 0.985, "top": 0.93, "bottom": 0.205}
+MARGINS = {"left": 0.175, "right": 0.945, "top": 0.93, "bottom": 0.205}
 STYLE = {
     "svg.hashsalt": "flexjoint",
     "svg.fonttype": "path",

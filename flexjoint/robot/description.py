@@ -1,4 +1,4 @@
-"""What a robot file points at: a URDF, or an MJCF or SDF through Pinocchio's own parsers -> pin.Model."""
+"""What a robot file points at: a URDF, an MJCF, or an SDF that is read as a URDF -> pin.Model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from flexjoint.core.messages import one_line
 from flexjoint.core.running import native_output
 from flexjoint.robot import ready_made
 from flexjoint.robot.numbers import floats
-from flexjoint.robot.reading import mjcf_checks, urdf_checks, xml_file
+from flexjoint.robot.reading import mjcf_checks, sdf, urdf_checks, xml_file
 from flexjoint.robot.schema import RobotFile
 
 KINDS = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}  # root element: key of the robot file
@@ -32,10 +32,10 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True)
 class Description:
-    """A description as it is used: `kind` urdf, mjcf or sdf, where it lies, and of a URDF the text, whose
-    continuous joints are unwrapped and whose sections that are left out are cut. `follows` are joints that
-    are tied to another one (mimic, equality), which is not modelled, and `odd` what else it holds that a user
-    should know."""
+    """A description as it is used: `kind` urdf, mjcf or sdf, where it lies, and of a URDF or SDF the URDF,
+    whose continuous joints are unwrapped and whose sections that are left out are cut. `follows` are joints
+    that are tied to another one (mimic, equality), which is not modelled, and `odd` what else it holds that a
+    user should know."""
 
     kind: str
     path: Path
@@ -143,15 +143,17 @@ def read(file: RobotFile, path: Path) -> Description:
             f"{path}: `{kind}` names {found}, whose root element is <{root.tag}>"
             + (f"; call the key `{given}`" if given in KINDS.values() else f"; expected <{_tag(kind)}>")
         )
-    text, follows, odd = "", dict[str, str](), list[str]()
+    text, said, where = "", list[str](), f"{kind.upper()} {found}"
     if kind == "mjcf":
-        follows, odd = mjcf_checks.check(root, f"MJCF {found}")
-    if kind == "urdf":
-        follows, odd = urdf_checks.check(root, f"URDF {found}")
+        follows, odd = mjcf_checks.check(root, where)
+    else:
+        if kind == "sdf":
+            root, said = sdf.as_urdf(root, where, file.base == "floating")
+        follows, odd = urdf_checks.check(root, where)
         text = _unwrap_continuous(root, file.continuous, path)
-    elif file.continuous:
+    if kind == "mjcf" and file.continuous:
         raise RobotError(f"{path}: `continuous` needs a URDF; write the joints without limits in the {kind}")
-    return Description(kind, found, text, package_dirs(file, path), follows, tuple(odd))
+    return Description(kind, found, text, package_dirs(file, path), follows, (*said, *odd))
 
 
 def leaves_package(name: str) -> bool:
@@ -167,11 +169,6 @@ def leaves_package(name: str) -> bool:
 def model(description: Description, floating: bool) -> pin.Model:
     """The description as Pinocchio reads it, on a free-flyer where it floats; raises RobotError."""
     path = description.path
-    root = pin.JointModelFreeFlyer() if floating else None
-    if description.kind == "urdf":
-        text = description.text
-        arguments = (text, root) if root else (text,)
-        return _parsed(description, lambda: pin.buildModelFromXML(*arguments))
     if description.kind == "mjcf":
         built = _parsed(description, lambda: pin.buildModelFromMJCF(str(path)))
         free = floats(built)
@@ -179,14 +176,9 @@ def model(description: Description, floating: bool) -> pin.Model:
             has, base = ("a", "floating") if free else ("no", "fixed, or give its first body a freejoint")
             raise RobotError(f"MJCF {path} has {has} free joint; write base: {base}")
         return built
-    if not pin.WITH_SDFORMAT:
-        raise RobotError(
-            f"SDF {path} cannot be read: this build of Pinocchio (pip's wheel is one) has no SDF parser;"
-            " convert it to URDF or MJCF, or install a Pinocchio that was built with sdformat"
-        )
-    return _parsed(
-        description, lambda: pin.buildModelsFromSdf(str(path), root_joint=root, geometry_types=[])[0]
-    )
+    root = pin.JointModelFreeFlyer() if floating else None
+    arguments = (description.text, root) if root else (description.text,)
+    return _parsed(description, lambda: pin.buildModelFromXML(*arguments))
 
 
 def _parsed(description: Description, parse: Callable[[], Made]) -> Made:

@@ -107,7 +107,7 @@ def draft(source: str, out: Path, seen: Seen | None = None, springs: bool = True
     floating = robot_description.has_free_joint(description)
     model = robot_description.model(description, floating)
     drives = _drives(model, description)
-    joints = _joints(model, description.text if kind == "urdf" else "", seen, source, drives)
+    joints = _joints(model, description.text, seen, source, drives)
     place = source if named else _relative(Path(source), out.parent)
     lines = _Lines(kind, name.removesuffix(ready_made.ENDING), place, floating, joints, seen, springs, drives)
     text = "\n".join(lines.all()) + "\n"
@@ -202,6 +202,7 @@ class _Lines:
             yield f"  {key}: {value:g}  # {why}"
         yield from self._offsets()
         yield from self._actuated()
+        yield from self._couplings()
         yield from self._effects()
         yield f"sources: {{numbers: {json.dumps(f'{self.place}, as flexjoint init read it')}}}"
 
@@ -268,6 +269,15 @@ class _Lines:
         need = "needed for the recorded currents" if "current" in channels else "needed for currents"
         yield f"# gear_ratio: 100  # {CHECK}: rotor turns per turn of the joint (data sheet); {need}"
         yield f"# torque_constant: 0.1  # N m/A at the rotor, {CHECK}: data sheet of the motor; {need}"
+
+    def _couplings(self) -> Iterator[str]:
+        if self.drives is None or not self.drives.couplings:
+            return
+        yield "couplings:  # motors that several joints share: a row a motor, a column a joint"
+        for entry in self.drives.couplings:
+            joints = ", ".join(_quoted(joint) for joint in entry["joints"])
+            rows = ", ".join(f"[{', '.join(_exactly(x) for x in row)}]" for row in entry["matrix"])
+            yield f"  - {{joints: [{joints}], matrix: [{rows}]}}"
 
     def _effects(self) -> Iterator[str]:
         if self.drives is not None and self.drives.effects:

@@ -164,6 +164,7 @@ class Robot:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
+        """Of the actuated joints, in the order of every (n,) array."""
         return tuple(joint.name for joint in self.joints)
 
     @property
@@ -179,6 +180,7 @@ class Robot:
 
     @property
     def floating(self) -> bool:
+        """Whether its base moves freely."""
         return self.file.base == "floating"
 
     def joint(self, name: str) -> Joint:

@@ -37,8 +37,8 @@ def choose(file: RobotFile, urdf: str, asked: Sequence[str] | None, where: str) 
         raise RobotError(f"{where}: sections {', '.join(asked)} were asked for, but the robot defines none")
     if not file.sections:
         return Choice(urdf, (), (), floating)
-    if file.urdf is None:
-        raise RobotError(f"{where}: sections need a URDF, the robot has a {file.description[0]}")
+    if not urdf:
+        raise RobotError(f"{where}: sections need a URDF or SDF, the robot has a {file.description[0]}")
     tree = _Tree(ElementTree.fromstring(urdf))
     units = _units(file)
     for unit, roots in units.items():

@@ -75,18 +75,19 @@ def read(folder: Path, entry: dict[str, Any], cutoff: float = CUTOFF) -> Machine
     clock = np.arange(told["time"][0], told["time"][-1], period)
     low = butter(4, min(0.9, 2 * cutoff * period))
 
-    def smooth(channel: str, joint: str) -> Array | None:
+    def smooth(channel: str, joint: str, held: float = 0.0) -> Array | None:
         values = told.get(f"{channel}.{joint}")
         if values is None or np.isfinite(values).sum() < 100:
             return None
         there = np.isfinite(values)
-        return filtfilt(*low, np.interp(clock, told["time"][there], values[there]))
+        return filtfilt(*low, np.interp(clock, told["time"][there] + 0.5 * held, values[there]))
 
     q, theta, torque, motor = (dict[str, Array | None]() for _ in range(4))
     for name in robot.joints:
         q[name], theta[name] = smooth("q", name), smooth("theta", name)
         torque[name] = smooth("tau_t", name)
-        command = smooth("tau_m", name)
+        # a command is held from its sample to the controller's next: it acts half of that later in the mean
+        command = smooth("tau_m", name, held=1.0 / robot.control_rate)
         motor[name] = command if command is not None else smooth("tau_motor", name)
     seen = [q[n] if q[n] is not None else theta[n] for n in robot.joints]
     body = None

@@ -21,12 +21,14 @@ from mujoco import sysid
 from flexjoint_benchmark.adapters.joints import USUAL_TOLERANCE, Machine, answered, finding
 
 CUTOFF = 80.0  # Hz: above the springs' resonances, so that what is fitted is what was measured
+STEP_RATE = 1000.0  # Hz, at which RK4 follows the springs
 WINDOW = 0.3  # s, before an open loop has drifted far from where it started
 WINDOWS = 24
 ITERATIONS = 15
 MOVED, SURE, SHARE = 2.0, 3.0, 0.05  # as in least_squares.py
 FACTOR = 5.0  # bounds: a fifth to five times the nominal number
-LEAST_INERTIA = 1e-6
+FACTOR_OF_MASS = 1.3
+MASS = "mass"
 
 
 def find(machine: Machine, folder: Path) -> list[dict[str, Any]]:
@@ -38,22 +40,24 @@ def find(machine: Machine, folder: Path) -> list[dict[str, Any]]:
     spec = _model(folder, machine)
     model = spec.compile()
     sequences = _sequences(machine, spec, model)
-    parameters = _parameters(machine)
+    parameters = _parameters(machine, spec)
     residual = sysid.build_residual_fn(models_sequences=[sequences])
     with contextlib.redirect_stdout(io.StringIO()):  # its progress
         fitted, result = sysid.optimize(parameters, residual, max_iters=ITERATIONS, verbose=False)
     residuals = residual(result.x, fitted)[0]
     covariance, _ = sysid.calculate_intervals(residuals, result.jac)
-    errors = np.sqrt(np.abs(np.diag(covariance)))
+    # an open loop's error is one over its whole window, and no noise that its samples would average away
+    errors = np.sqrt(np.abs(np.diag(covariance)) * WINDOW * machine.rate * _finer(machine))
     return _named(machine, fitted, errors)
 
 
 def _model(folder: Path, machine: Machine) -> mujoco.MjSpec:
     data = yaml.safe_load((folder / "robot.yaml").read_text())
     spec = mujoco.MjSpec.from_file(str(folder / data["urdf"]))
-    spec.option.timestep = 1.0 / machine.rate
+    spec.option.timestep = 1.0 / (machine.rate * _finer(machine))
     spec.option.gravity = machine.robot.gravity
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # of order 4: the implicit integrators damp a spring by K h/2, more than its own damper does
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     for joint in machine.joints:
         link = spec.joint(joint.name)
@@ -78,6 +82,11 @@ def _model(folder: Path, machine: Machine) -> mujoco.MjSpec:
     return spec
 
 
+def _finer(machine: Machine) -> int:
+    """Steps of the simulation in one of the recording."""
+    return max(1, round(STEP_RATE / machine.rate))
+
+
 def _set(joint: mujoco.MjsJoint, field: str, value: float) -> None:
     """Stiffness and damping are polynomials in some versions: their first coefficient is the linear one."""
     now = getattr(joint, field)
@@ -85,7 +94,7 @@ def _set(joint: mujoco.MjsJoint, field: str, value: float) -> None:
 
 
 def _sequences(machine: Machine, spec: mujoco.MjSpec, model: mujoco.MjModel) -> sysid.ModelSequences:
-    joints, rate = machine.joints, machine.rate
+    joints, rate, steps = machine.joints, machine.rate, _finer(machine)
     size, length = joints[0].theta.size, round(WINDOW * rate)
     starts = np.linspace(0, size - length - 1, WINDOWS).astype(int)
     controls, seen, states = [], [], []
@@ -94,13 +103,15 @@ def _sequences(machine: Machine, spec: mujoco.MjSpec, model: mujoco.MjModel) -> 
     turns = {j.name: -j.dphi for j in joints if j.dphi is not None}
     for start in starts:
         part = slice(start, start + length)
-        times = np.arange(length) / rate
-        torque = np.stack([j.tau_m[part] for j in joints], axis=1)
+        times, finer = np.arange(length) / rate, np.arange((length - 1) * steps + 1) / (rate * steps)
+        step = 1.0 / (rate * steps)  # over which MuJoCo holds a command
+        torque = np.stack([np.interp(finer + 0.5 * step, times, j.tau_m[part]) for j in joints], axis=1)
         columns = {f"theta {j.name}": j.theta[part] for j in joints}
         columns |= {f"bend {name}": bend[part] for name, bend in bends.items()}
-        data = np.stack([columns[name] for name in names], axis=1)
-        controls.append(sysid.TimeSeries.from_control_names(times, torque, model))
-        seen.append(sysid.TimeSeries.from_names(times, data, model))
+        # its rollout reads sensors where a step begins, and sysid takes them for where it ends
+        data = np.stack([np.interp(finer - step, times, columns[name]) for name in names], axis=1)
+        controls.append(sysid.TimeSeries.from_control_names(finer, torque, model))
+        seen.append(sysid.TimeSeries.from_names(finer, data, model))
         position, velocity = np.zeros(model.nq), np.zeros(model.nv)
         for joint in joints:
             at = model.joint(joint.name)
@@ -115,7 +126,7 @@ def _sequences(machine: Machine, spec: mujoco.MjSpec, model: mujoco.MjModel) -> 
     return sysid.ModelSequences("robot", spec, [f"at {s}" for s in starts], states, controls, seen)
 
 
-def _parameters(machine: Machine) -> sysid.ParameterDict:
+def _parameters(machine: Machine, spec: mujoco.MjSpec) -> sysid.ParameterDict:
     out = sysid.ParameterDict()
 
     def add(name: str, nominal: float, low: float, high: float, joint: str, field: str) -> None:
@@ -134,9 +145,23 @@ def _parameters(machine: Machine) -> sysid.ParameterDict:
                 numbers["spring_damping"] = (joint.spring_damping, f"spring {joint.name}", "damping")
         for effect, (nominal, where, field) in numbers.items():
             add(f"{effect} {joint.name}", nominal, nominal / FACTOR, nominal * FACTOR, where, field)
+        out.add(_mass(spec, joint.name))
         level = float(np.sqrt(np.mean(joint.tau_m**2)))
         add(f"motor_coulomb_friction {joint.name}", 0.02 * level, 0.0, level, joint.name, "frictionloss")
     return out
+
+
+def _mass(spec: mujoco.MjSpec, joint: str) -> sysid.Parameter:
+    """A factor on the mass and inertia of a joint's link, which are as uncertain as the rest: closed, they
+    would be made up for by what is open."""
+    link = spec.joint(joint).parent
+    mass, inertia = float(link.mass), np.array(link.fullinertia)
+
+    def apply(changed: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
+        body, factor = changed.joint(joint).parent, float(parameter.value[0])
+        body.mass, body.fullinertia = factor * mass, factor * inertia
+
+    return sysid.Parameter(f"{MASS} {joint}", 1.0, 1.0 / FACTOR_OF_MASS, FACTOR_OF_MASS, modifier=apply)
 
 
 def _named(machine: Machine, fitted: sysid.ParameterDict, errors: np.ndarray) -> list[dict[str, Any]]:
@@ -149,6 +174,8 @@ def _named(machine: Machine, fitted: sysid.ParameterDict, errors: np.ndarray) ->
     out = []
     for (key, parameter), error in zip(fitted.items(), errors, strict=True):
         effect, _, name = key.partition(" ")
+        if effect == MASS:
+            continue
         joint, value, nominal = by_name[name], float(parameter.value[0]), float(parameter.nominal[0])
         if effect == "motor_coulomb_friction":
             least = SHARE * float(np.sqrt(np.mean(joint.tau_m**2)))

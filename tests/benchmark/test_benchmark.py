@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from support.pages import ROOT
+from support.thorough import thorough
 
 from flexjoint.cli.main import main
 from flexjoint.effects import catalogue
@@ -206,3 +207,34 @@ def test_least_squares_names_friction_and_its_level(tmp_path: Path) -> None:
     (value,) = [f["parameters"]["level"]["value"] for f in found if f["effect"] == "motor_coulomb_friction"]
     # the sign of a filtered speed is smeared over 1/20 Hz at each of some twenty reversals in 7 s
     assert value == pytest.approx(level, rel=0.1)
+
+
+@thorough
+def test_mujoco_sysid_finds_that_friction_and_nothing_on_a_healthy_machine(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco.sysid", reason="mujoco[sysid] is not installed")
+    from planting import ROBOTS, Planted, plant
+    from planting.cases import QUIET_FEEDBACK
+
+    from flexjoint_benchmark.adapters import mujoco_sysid
+
+    level, found = 6.0, {}
+    for name, planted in (
+        ("healthy", []),
+        ("rubbing", [Planted("motor_coulomb_friction", "swing", {"level": level})]),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        plant(ROBOTS / "lever.yaml", planted, "rich", 8.0, 5, QUIET_FEEDBACK).write(
+            folder / "recording.parquet"
+        )
+        (folder / "robot.yaml").write_text((ROBOTS / "lever.yaml").read_text())
+        (folder / "lever.urdf").write_text((ROBOTS / "lever.urdf").read_text())
+        case = {"robot": "robot.yaml", "recording": "recording.parquet"}
+        machine = read(folder, case, mujoco_sysid.CUTOFF)
+        found[name] = mujoco_sysid.find(machine, folder)
+    assert found["healthy"] == []
+    (value,) = [
+        f["parameters"]["level"]["value"] for f in found["rubbing"] if f["effect"] == "motor_coulomb_friction"
+    ]
+    # its stop is soft, and its signals are filtered at 80 Hz
+    assert value == pytest.approx(level, rel=0.15)

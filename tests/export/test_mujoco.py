@@ -39,6 +39,7 @@ SIZES: dict[str, dict[str, Any]] = {  # that matter in this motion
     "base_tilt": {"roll": 0.1, "pitch": -0.2},
     "cable_spring": {"stiffness": 15.0, "rest": 0.3},
     "cogging": {"amplitude": 2.0, "cycles": 9.0},
+    "coupled_friction": {"level": 0.6, "coefficient": 0.5},
     "current_lag": {"time_constant": 8e-3},
     "dahl_friction": {"level": 1.0, "scale": 5e-3},
     "end_stop": {"position": 0.02, "stiffness": 500.0},
@@ -225,8 +226,11 @@ def test_mass_matrix_and_gravity_are_pinocchios(name: str) -> None:
     mass = np.zeros((engine.nv, engine.nv))
     mujoco.mj_fullM(engine, data, mass)
     expected = model.body.mass_matrix(q).copy()
-    for i in model.rigid:
+    for i in set(model.rigid) - model.grouped:
         expected[model.joints[i].idx_v, model.joints[i].idx_v] += model.flows[i].drive.B
+    for group in (group for group in model.groups if group.rigid):
+        places = [model.joints[i].idx_v for i in group.joints]
+        expected[np.ix_(places, places)] += np.array(group.inertia)
     expected = frame.T @ expected @ frame
     assert mass[:nv, :nv] == pytest.approx(expected, abs=1e-9 * float(np.max(np.abs(expected))))
     gravity = frame.T @ model.body.gravity_torque(q)

@@ -18,7 +18,13 @@ from flexjoint.diagnosis.followup import experiment
 from flexjoint.recording import table as recording
 from flexjoint.robot import robot
 
-READ = {".yaml": robot.load, ".urdf": robot.load, ".xml": robot.load, ".csv": recording.read}
+READ = {
+    ".yaml": robot.load,
+    ".urdf": robot.load,
+    ".xml": robot.load,
+    ".sdf": robot.load,
+    ".csv": recording.read,
+}
 
 
 @pytest.mark.parametrize("path", [item for suffix in READ for item in corpus(suffix)])

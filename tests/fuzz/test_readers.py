@@ -34,6 +34,15 @@ TABLE = {
     "tau_m.elbow": np.cos(np.arange(60) / 9.0),
 }
 CSV = "\n".join([",".join(TABLE), *(",".join(f"{x:.6g}" for x in row) for row in zip(*TABLE.values(), strict=True))]).encode()  # fmt: skip  # noqa: E501
+SDF = """<sdf version="1.9"><model name="arm"><pose>0 0 1 0.1 0 0</pose>
+<frame name="mark" attached_to="a"><pose relative_to="b">0 0 0.2 0 0.3 0</pose></frame>
+<link name="a"><inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.1</iyy><izz>0.1</izz></inertia>
+</inertial></link>
+<link name="b"><pose relative_to="j">0 0.1 0 0 0 0</pose><inertial><pose>0 0 0.1 0 0 0</pose><mass>1</mass>
+<inertia><ixx>0.1</ixx><iyy>0.1</iyy><izz>0.1</izz></inertia></inertial></link>
+<joint name="j" type="revolute"><pose relative_to="a">0 0 0.5 0 0 0</pose><parent>a</parent><child>b</child>
+<axis><xyz expressed_in="mark">0 1 0</xyz><limit><lower>-1</lower><upper>1</upper><effort>30</effort></limit>
+<dynamics><damping>0.1</damping><friction>0.2</friction></dynamics></axis></joint></model></sdf>"""
 POSES = b"time,q.shoulder,q.elbow\n0,0.1,0.2\n1,-0.1,0.3\n2.5,0,1.4\n"
 DIAGNOSIS = b'{"schema": 1, "verdict": "causes", "findings": [{"effect": "backlash", "joint": "elbow", "parameters": {"gap": {"value": 0.01}}, "indistinguishable": [{"effect": "end_stop", "joint": "elbow"}]}], "comparison": {"noise_floor": {"rms": {"q.elbow": 0.0001}}}}'  # noqa: E501
 
@@ -73,7 +82,9 @@ def test_a_robot_file(folder: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("suffix", "good"), [("urdf", URDF), ("xml", MJCF.format(free=""))], ids=["urdf", "mjcf"]
+    ("suffix", "good"),
+    [("urdf", URDF), ("xml", MJCF.format(free="")), ("sdf", SDF)],
+    ids=["urdf", "mjcf", "sdf"],
 )
 @fuzz(100)
 @given(data=st.data())
@@ -153,6 +164,8 @@ def test_what_was_changed_was_good(folder: Path, arm: Robot) -> None:
     """Else the tests above would change what is refused anyway."""
     (folder / "good.yaml").write_bytes(YAML)
     assert robot.load(folder / "good.yaml").joint_names == ("shoulder", "elbow")
+    (folder / "good.sdf").write_text(SDF)
+    assert robot.load(folder / "good.sdf").joint_names == ("j",)
     for name, data in (("good.csv", CSV), ("good.parquet", parquet())):
         (folder / name).write_bytes(data)
         assert recording.read(folder / name).joints == ("elbow",)

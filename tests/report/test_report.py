@@ -11,7 +11,9 @@ from dataclasses import fields, replace
 from html.parser import HTMLParser
 
 import matplotlib as mpl
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from support.fake_diagnosis import (
     JOINTS,
     STEPS,
@@ -374,3 +376,32 @@ def test_write_leaves_one_file_or_none(arm2, measured, tmp_path):
     assert list(out.parent.iterdir()) == [out]
     with pytest.raises(FlexJointError, match="cannot write"):
         report.write(refused(), arm2, measured, out / "inside_a_file.html")
+
+
+@pytest.mark.parametrize("longest", [10.0, 1000.0, 0.0125, 99_999.0])
+def test_no_label_is_cut_at_an_edge(monkeypatch: pytest.MonkeyPatch, longest: float) -> None:
+    """The last number of an axis stands at its end, half beyond it."""
+    drawn: list[Figure] = []
+    image = plots._image
+
+    def kept(figure: Figure, alt: str, tight: bool = False) -> plots.Image:
+        drawn.append(figure)
+        return image(figure, alt, tight)
+
+    monkeypatch.setattr(plots, "_image", kept)
+    time = np.linspace(0.0, longest, 200)
+    values = longest * np.sin(np.arange(200.0))
+    plots.traces(time, values, values, None, "q", "elbow", False, "")
+    plots.curves("q [rad]", "", full=(time, values))
+    for figure in drawn:
+        width, height = figure.canvas.get_width_height()
+        (axes,) = figure.axes
+        boxes = [
+            tick.label1.get_window_extent()
+            for axis in (axes.xaxis, axes.yaxis)
+            for tick in axis.get_major_ticks()
+            if min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
+        ]
+        assert len(boxes) > 4
+        for box in boxes:
+            assert box.x0 >= 0.0 and box.x1 <= width and box.y0 >= 0.0 and box.y1 <= height

@@ -56,14 +56,6 @@ def test_an_mjcf_without_a_free_joint_does_not_float(tmp_path: Path) -> None:
         robot.load(mjcf(tmp_path, base="floating"))
 
 
-def test_an_sdf_is_read_or_refused_with_the_reason(tmp_path: Path) -> None:
-    (tmp_path / "arm2.sdf").write_text('<sdf version="1.6"><model name="arm2"/></sdf>')
-    path = file(tmp_path, urdf=None, sdf="arm2.sdf")
-    said = "SDF .*arm2.sdf" if pin.WITH_SDFORMAT else "has no SDF parser; convert it to URDF or MJCF"
-    with pytest.raises(RobotError, match=said):
-        robot.load(path)
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

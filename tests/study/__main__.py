@@ -5,6 +5,7 @@ PYTHONPATH=tests:. python -m study table --out FOLDER [--page docs/studies/diagn
 PYTHONPATH=tests:. python -m study misses --out FOLDER
 PYTHONPATH=tests:. python -m study goals --out FOLDER
 PYTHONPATH=tests:. python -m study ablation --out FOLDER [--sample 43] [--page docs/studies/ablation.md]
+PYTHONPATH=tests:. python -m study smallest [--table docs/site/smallest_sizes.json]
 
 The parts dirty, background, unknown and fresh are run when asked for; of the first three the sealed numbers
 with --sealed only. What comes out of fresh is counted, and must never lead to a rule.
@@ -18,6 +19,7 @@ from .cases import COUNTS, USUAL
 from .dirty import goals
 from .page import markdown, misses
 from .run import records, run
+from .smallest import write as write_smallest
 
 
 def shard(text: str) -> tuple[int, int]:
@@ -47,7 +49,12 @@ def main() -> None:
             command.add_argument(
                 "--page", type=Path, metavar="PAGE.md", help="write there, not to the screen"
             )
+    command = commands.add_parser("smallest")
+    command.add_argument("--table", type=Path, default=Path("docs/site/smallest_sizes.json"))
     given = parser.parse_args()
+    if given.command == "smallest":
+        write_smallest(given.table)
+        return
     try:
         if given.command == "run":
             run(given.out, given.shard, given.jobs, given.part, given.every, given.sealed)

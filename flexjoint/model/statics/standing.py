@@ -29,7 +29,8 @@ class Standing:
 
 
 def standing(model: FlexibleJointModel, q: np.ndarray) -> Standing:
-    """The robot at rest on its contacts with the joints at q (nq,); its base is moved and tilted onto them.
+    """The robot at rest on its contacts with the joints at q (nq,) [rad]; its base is moved and tilted onto
+    them.
 
     The smallest forces are taken, and along the ground only such as balance needs. Where four or more
     contacts do not lie in a plane, their depths fit in the sense of least squares.

@@ -83,8 +83,10 @@ class Motion:
 def still(
     robot: Robot, q: np.ndarray | None = None, theta: np.ndarray | None = None, label: str | None = None
 ) -> Motion:
-    """A robot at rest at q (nq,), by default its `initial` pose with its contacts on the ground; theta (n,)
-    of the actuated joints, by default that of the static law where the base is fixed."""
+    """A robot at rest at q (nq,) [rad], by default its `initial` pose with its contacts on the ground; theta
+    (n,) [rad] of the actuated joints, by default that of the static law where the base is fixed.
+
+    Raises FlexJointError for positions of another size."""
     if q is None:
         q = on_ground(robot, robot.configuration())
     q = np.asarray(q, dtype=float)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import runpy
+import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -265,6 +266,33 @@ def test_the_examples_of_a_page_run_one_after_the_other(
     for example in blocks(page, "python"):
         exec(example, names)
     assert len(names) > 3
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in [*PAGES, ROOT / "README.md"] if blocks(page, "sh")], ids=lambda page: page.name
+)
+def test_the_commands_of_a_page_are_commands(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With options that there are; lines that go on with a backslash are one."""
+    from flexjoint.cli.main import _parser
+
+    lines = "\n".join(blocks(page, "sh")).replace("\\\n", " ").splitlines()
+    for line in lines:
+        words = shlex.split(line, comments=True)
+        words = words[: words.index("|")] if "|" in words else words
+        if words[:1] != ["flexjoint"] or words[1:] in ([], ["--help"]):
+            continue
+        try:
+            _parser().parse_args(words[1:])
+        except SystemExit:
+            pytest.fail(f"{line}: {capsys.readouterr().err}")
+
+
+def test_the_first_page_of_the_site_begins_as_the_readme() -> None:
+    """Whose example runs, above."""
+    (example,) = blocks(DOCS / "site" / "index.md", "python")
+    known = {line.strip() for line in blocks(ROOT / "README.md", "python")[0].splitlines()}
+    said = {line.split("  #")[0].strip() for line in known}
+    assert [line for line in example.splitlines() if line.strip() not in known | said] == []
 
 
 # --- checking.md ------------------------------------------------------------------------------------------

@@ -3,13 +3,16 @@ somewhere."""
 
 from __future__ import annotations
 
+import json
 import runpy
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from study import smallest
 from support.pages import DOCS, ROOT
 from support.thorough import thorough
 
@@ -56,6 +59,7 @@ def test_the_gallery_tells_each_effect_s_law_size_and_fate(tmp_path: Path) -> No
     effect = fj.catalogue()["backlash"]
     card = gallery["_card"](effect, tmp_path)
     assert effect.law in card and "Here: gap 0.00" in card and "In the study it was named" in card
+    assert "Smallest that was found" in card and "on the lever (1/" in card
     (picture,) = tmp_path.iterdir()
     assert f"gallery_pictures/{picture.name}" in card and picture.stat().st_size < 200_000
     drawn = picture.stat().st_mtime_ns
@@ -74,3 +78,14 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr[-3000:]
     html = (tmp_path / "html" / "gallery.html").read_text(encoding="utf-8")
     assert html.count("<img ") >= sum(e.is_cause for e in fj.catalogue().values())
+
+
+def test_the_smallest_sizes_are_of_effects_that_there_are() -> None:
+    table = json.loads((DOCS / "site" / "smallest_sizes.json").read_text(encoding="utf-8"))
+    known = set(smallest.pairs())
+    rows = [(row["effect"], row["robot"]) for row in table["rows"]]
+    assert len(set(rows)) == len(rows) and set(rows) <= known and table["version"]
+    for row in table["rows"]:
+        assert row["effect"] in fj.catalogue() and (row["found"] or row["missed"])
+        if row["found"]:
+            assert np.log2(row["found"]["size"]) in range(-smallest.HALVINGS, 1)

@@ -15,6 +15,7 @@ from support.logs import JOINTS, assert_is, motion, write_csv
 from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.core.text import plain
 from flexjoint.recording import table
+from flexjoint.recording.formats import ur_rtde
 from flexjoint.recording.importing import import_log, open_log, read
 from flexjoint.recording.logs import mapping
 
@@ -87,6 +88,32 @@ def test_rtde_by_its_documented_columns(tmp_path: Path, delimiter: str) -> None:
     keys = mapping.parse({"torque_constant": 0.1, "gear_ratio": 101.0})
     torque = import_log(path, keys).recording.get("tau_motor", "elbow_joint")
     assert torque == pytest.approx(10.1 * values["actual_current"][:, 2])
+
+
+def test_a_file_that_ur_rtde_itself_wrote() -> None:
+    """written/README.md says what was sent: six decimals are written, rows are repeated and left out, and in
+    some rows the stamp is of one package and a value of the next."""
+    path = Path(__file__).parent / "written" / "ur_rtde.csv"
+    got = read(path)
+    recording = got.recording
+    joints = ur_rtde.JOINTS
+    assert recording.joints == joints and recording.period == pytest.approx(0.008, rel=1e-6)
+    assert any("repeat the row before" in note for note in recording.notes)
+    first = float(path.read_text().splitlines()[1].split(",")[0])
+    t = recording.time - recording.time[0] + first - 1000.0
+    for j, joint in enumerate(joints):
+        angle = (1.0 + 0.3 * j) * t + j
+        expected = {
+            "q": 0.4 * np.sin(angle),
+            "q_ref": 0.4 * np.sin(angle),
+            "dq": 0.4 * (1.0 + 0.3 * j) * np.cos(angle),
+            "current": 0.5 * np.cos(angle),
+            "temperature": np.full(t.size, 30.0 + j),
+        }
+        for channel, values in expected.items():
+            off = np.abs(recording.get(channel, joint) - values)
+            assert np.mean(off < 2e-6) > 0.9, (channel, joint)
+            assert np.max(off) < 0.008 * 2.5**2 * 0.5  # what a package of 8 ms later may differ by
 
 
 # --- libfranka ----------------------------------------------------------------------------------------------
