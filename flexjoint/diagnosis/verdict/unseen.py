@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances, balances_of
-from flexjoint.diagnosis.regression.deviations import deviation_effects
+from flexjoint.diagnosis.regression.deviations import converged_deviations, deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, fit, nominal_deviations
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Remaining, Removed
@@ -88,6 +88,12 @@ def joint_left(fitted: Fit, joint: str) -> tuple[float, tuple[float, ...]]:
     own = [row.joint == j for row in problem.balances.rows]
     balances = tuple(float(x) for x in np.sqrt(np.mean(left[own] ** 2, axis=1)))
     return (0.0 if total is None else float(np.sqrt(np.mean(total**2)))), balances
+
+
+def left_beside(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
+    """(rows, N) what effects leave of all balances [N m] on all usable samples, beside nominal numbers as the
+    samples that the problem counts tell them: on the others it is unseen."""
+    return _left(problem, effects, converged_deviations(problem, effects, problem.residual(effects)))
 
 
 def _left(problem: Problem, effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
