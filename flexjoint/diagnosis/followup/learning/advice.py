@@ -16,8 +16,8 @@ LOOK = {
         " a load cell's or a current sensor's curve"
     ),
     ("learned_torque", "tau_m"): (
-        "what becomes of the commanded torque: a dead zone or a limit of the drive, the torque constant, losses"
-        " of the gear that grow with the load"
+        "what becomes of the commanded torque: a dead zone or a limit of the drive, the torque constant,"
+        " losses of the gear that grow with the load"
     ),
     ("learned_torque", "tau_m_before"): (
         "how the drive of the joint before acts on this one: a differential, tendons, bearing loads, a cable"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -115,4 +116,4 @@ def _parts(k: int, problem: Problem, recordings: int) -> list[Part]:
     count = max(LEAST_PARTS, -(-problem.settings.learn.stretches // recordings))
     end = float(problem.balances.chains.t[-1]) + problem.readings.period
     edges = np.linspace(0.0, end, count + 1)
-    return [Part(k, float(a), float(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [Part(k, float(a), float(b)) for a, b in pairwise(edges)]

@@ -1,9 +1,9 @@
 """Whether a law is worth having: what it removes of data that it was not made of.
 
 Every stretch of time is left out in turn, and foretold by a law of the same signal that was smoothed and
-fitted on all others. A law is kept if these remove enough of the joint's torque error, surely; if no stretch, and no place
-of its signal, has a larger error with them than without; and if the simulation of the stretches, each with
-its own law, is not worse (`simulation.py`).
+fitted on all others. A law is kept if these remove enough of the joint's torque error, surely; if no stretch,
+and no place of its signal, has a larger error with them than without; and if the simulation of the stretches,
+each with its own law, is not worse (`simulation.py`).
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def foretold(
 def judged(evidence: Evidence, law: Planned, stretches: Sequence[Foretold]) -> Verdict:
     """The squared errors of a joint's balances count in those of each balance's noise level."""
     problem = evidence.problems[0]
-    own = [k for k, row in enumerate(problem.balances.rows) if problem.robot.joints[row.joint].name == law.joint]
+    own = [
+        k for k, row in enumerate(problem.balances.rows) if problem.robot.joints[row.joint].name == law.joint
+    ]
     deviation = np.array([[p.deviation[k] for k in own] for p in evidence.problems])
     level = np.array([[p.level.inflation[k] for k in own] for p in evidence.problems])
     weight = 1.0 / np.maximum(deviation**2 * level, 1e-300)

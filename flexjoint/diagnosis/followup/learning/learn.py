@@ -210,9 +210,7 @@ class _Search:
             choice = self._chosen(evidence, shapes, ys)
         return evidence, choice
 
-    def _chosen(
-        self, evidence: Evidence, shapes: Sequence[Shape], ys: Sequence[np.ndarray]
-    ) -> Choice | None:
+    def _chosen(self, evidence: Evidence, shapes: Sequence[Shape], ys: Sequence[np.ndarray]) -> Choice | None:
         """The law and the smoothness that foretell best what is left out of their fit; None where none
         foretells anything."""
         choices = [chosen(evidence.problems, shape, ys, evidence.folds) for shape in shapes]

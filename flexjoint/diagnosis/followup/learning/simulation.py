@@ -9,12 +9,11 @@ import numpy as np
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
-from flexjoint.diagnosis.followup.learning.evidence import Evidence, Part
+from flexjoint.diagnosis.followup.learning.evidence import Evidence
 from flexjoint.diagnosis.followup.learning.judge import Verdict
 from flexjoint.diagnosis.result import Gain
 from flexjoint.diagnosis.result.merit import root_mean_square
 from flexjoint.diagnosis.verdict.held_out import errors, noise_floor
-from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel
 
 Errors = Mapping[str, Mapping[str, float]]
@@ -72,9 +71,7 @@ def held(evidence: Evidence, found: Sequence[Verdict]) -> tuple[list[Verdict], G
     return [], None
 
 
-def _worst(
-    evidence: Evidence, before: Errors, after: Errors, kept: Sequence[Verdict]
-) -> Verdict | None:
+def _worst(evidence: Evidence, before: Errors, after: Errors, kept: Sequence[Verdict]) -> Verdict | None:
     """The law to drop where the simulation of its joint, or of the robot, is worse."""
     limit = evidence.limits.worse
 

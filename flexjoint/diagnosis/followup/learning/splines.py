@@ -155,8 +155,8 @@ def chosen(
     normals: list[np.ndarray] = []
     slopes: list[np.ndarray] = []
     nothing = 0.0
-    for problem, columns, y, own in zip(problems, shape.columns, ys, folds, strict=True):
-        columns = problem.project(columns) * problem.weights
+    for problem, given, y, own in zip(problems, shape.columns, ys, folds, strict=True):
+        columns = problem.project(given) * problem.weights
         rest = problem.rest(y) * problem.weights
         every = np.tile(own, len(problem.balances.rows))
         used = problem.squares > 0.0
