@@ -2,8 +2,8 @@
 
 PYTHONPATH=tests:. python -m study.fleet FOLDER
 
-Recordings lie in FOLDER/logs, results in FOLDER/results; what is there is not made again. One process does all
-checks and diagnoses, so that their seconds are those of one core, and its memory that of one worker.
+Recordings lie in FOLDER/logs, results in FOLDER/results; what is there is not made again. One process does
+all checks and diagnoses, so that their seconds are those of one core, and its memory that of one worker.
 """
 
 from __future__ import annotations
@@ -128,7 +128,8 @@ def watched(folder: Path) -> str:
     total = sum(map(sum, seconds.values()))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # kB on Linux
     out += [
-        f"found {found} of {sum(m.wears for m in FLEET)}; called for nothing: {len(called)} of {len(unchanged)}",
+        f"found {found} of {sum(m.wears for m in FLEET)}",
+        f"called for nothing: {len(called)} of {len(unchanged)}",
         f"alarms of checks of unchanged machines at one temperature: {alarms} of {checks}",
         *(
             f"{len(s)} units of {kind}: {np.median(s):.2f} s (median), {np.max(s):.2f} s (most)"
