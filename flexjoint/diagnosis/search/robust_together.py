@@ -54,10 +54,12 @@ def confirmed(
     note = (
         f"named because the simulation of the joint needs it in all {count} recordings, with the numbers of"
     )
-    notes = (f"{', '.join(map(str, left))} {note} the first",)
+    notes = [f"{', '.join(map(str, left))} {note} the first"]
     if dropped:
-        notes += (f"not confirmed by the other recordings: {', '.join(map(str, dropped))}",)
-    return RobustFinding(found.problem, replace(found.selection, best=best, rivals=tuple(rivals)), notes)
+        notes.append(f"not confirmed by the other recordings: {', '.join(map(str, dropped))}")
+    return RobustFinding(
+        found.problem, replace(found.selection, best=best, rivals=tuple(rivals)), tuple(notes)
+    )
 
 
 def _lowered(

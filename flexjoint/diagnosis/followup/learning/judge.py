@@ -38,9 +38,10 @@ class Foretold:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a law removes of data that it was not made of. `share`: of the squared error above noise; `sure`:
-    in standard errors; `stretch`, `place`: times the error (RMS) on the stretch, and at the place of the
-    signal, where that is most."""
+    """What a law removes of data that it was not made of. `removed` in the balance that it clears most, and
+    `share` of the squared error of that, noise included; `sure`: in all balances, in standard errors;
+    `stretch`, `place`: times the error (RMS) on the stretch, and at the place of the signal, where that is
+    most."""
 
     removed: Removed
     share: float
@@ -91,7 +92,6 @@ def judged(evidence: Evidence, law: Planned, stretches: Sequence[Foretold]) -> V
 
     before = np.concatenate([_by_block(squares(s.without, s), s.block) for s in stretches])
     after = np.concatenate([_by_block(squares(s.left, s), s.block) for s in stretches])
-    noise = sum(float(np.sum(1.0 / level[s.part.recording])) * s.block.size for s in stretches)
     gained, whole = float(np.sum(before - after)), float(np.sum(before))
     # the standard error of a ratio of sums over blocks that differ in size (Cochran 1977, section 2.11)
     rest = before - after - gained / max(whole, 1e-300) * before
@@ -117,7 +117,7 @@ def judged(evidence: Evidence, law: Planned, stretches: Sequence[Foretold]) -> V
     signal_name = str(law.values["signal"])
     return Verdict(
         Removed(law.joint or "", where.balance, float(first[at]), float(last[at]), 0.0, signal_name),
-        min(1.0, gained / max(whole - noise, 1e-300)),
+        1.0 - float(last[at]) ** 2 / max(float(first[at]) ** 2, 1e-300),
         gained / max(spread, 1e-300),
         stretch,
         place,

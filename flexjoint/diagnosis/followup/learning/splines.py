@@ -29,6 +29,7 @@ TRIAL = 1e-3  # of a joint's torque: laws are linear in their coefficients, a sp
 # Of a law's range, at either end: what happens there alone (a stop) would make a spline over all of it swing
 PARTS = tuple(part for k in (0.5, 0.25, 0.125) for part in ((0.0, k), (1.0 - k, 1.0)))
 RIDGE = 1e-6  # of the mean curvature: coefficients that no sample shows stay finite
+AT_AN_END = 3  # coefficients that make a law's value at an end, and its slope and curvature there
 POINTS = 61  # of a law's curve
 WEIGHTS = np.logspace(-3.0, 5.0, 17)  # of the penalty, of curvature: from all degrees of freedom to two
 
@@ -37,11 +38,13 @@ WEIGHTS = np.logspace(-3.0, 5.0, 17)  # of the penalty, of curvature: from all d
 class Shape:
     """A law to be fitted: an effect on a joint with its signal and the signal's range, and, by recording, its
     whitened columns (coefficients, samples), one unit of each coefficient. `mean` (coefficients,) gives the
-    law's mean over the recordings."""
+    law's mean over the recordings. Coefficients that are not `free` are none: so a law over a part of a range
+    is none over the rest of it, where no error is."""
 
     law: Planned
     columns: tuple[np.ndarray, ...]
     mean: np.ndarray
+    free: np.ndarray  # (coefficients,) bool
 
     def at(self, coefficients: np.ndarray, std: Sequence[float] = ()) -> Planned:
         """The law with these coefficients, inside their bounds."""
@@ -102,13 +105,18 @@ def part_of(
     if span * (high - low) <= next(p for p in law.effect.params if p.name == "span").low:
         return None
     law = law.with_values({"start": start + low * span, "span": (high - low) * span})
-    return _shape(problems, law, base)
+    one = _shape(problems, law, base)
+    free = one.free.copy()
+    free[: AT_AN_END if low > 0.0 else 0] = False
+    free[free.size - (AT_AN_END if high < 1.0 else 0) :] = False
+    return replace(one, free=free)
 
 
 def _shape(problems: Sequence[Problem], law: Planned, base: Sequence[Planned]) -> Shape:
     signal = np.concatenate([signal_of(problem, law) for problem in problems])
     columns = tuple(_columns(problem, law, base) for problem in problems)
-    return Shape(law, columns, np.mean(basis(law, signal), axis=0))
+    mean = np.mean(basis(law, signal), axis=0)
+    return Shape(law, columns, mean, np.ones(mean.size, dtype=bool))
 
 
 def _columns(problem: Problem, law: Planned, base: Sequence[Planned]) -> np.ndarray:
@@ -146,6 +154,11 @@ def penalty(count: int) -> np.ndarray:
     return np.asarray(second.T @ second)
 
 
+def _penalty(free: np.ndarray) -> np.ndarray:
+    """That of the coefficients that are free, the others being none."""
+    return penalty(free.size)[np.ix_(free, free)]
+
+
 def chosen(
     problems: Sequence[Problem], shape: Shape, ys: Sequence[np.ndarray], folds: Sequence[np.ndarray]
 ) -> Choice:
@@ -156,7 +169,7 @@ def chosen(
     slopes: list[np.ndarray] = []
     nothing = 0.0
     for problem, given, y, own in zip(problems, shape.columns, ys, folds, strict=True):
-        columns = problem.project(given) * problem.weights
+        columns = problem.project(given[shape.free]) * problem.weights
         rest = problem.rest(y) * problem.weights
         every = np.tile(own, len(problem.balances.rows))
         used = problem.squares > 0.0
@@ -165,7 +178,7 @@ def chosen(
         slopes += [columns[:, part] @ rest[part] for part in parts]
         nothing += float(rest @ rest)
     whole, slope = np.sum(normals, axis=0), np.sum(slopes, axis=0)
-    scaled = penalty(len(slope)) * np.trace(whole) / np.trace(penalty(len(slope)))
+    scaled = _penalty(shape.free) * np.trace(whole) / np.trace(_penalty(shape.free))
     best, least = float(WEIGHTS[-1]), np.inf
     for weight in WEIGHTS:
         error = nothing
@@ -219,22 +232,25 @@ def fitted(problems: Sequence[Problem], choice: Choice, ys: Sequence[np.ndarray]
     say that what is left is not white (`fit.covariance` does the same). A mean that is not known, since
     unknown zeros of sensors and torques may stand for it, is no part of a centred law, whose mean is zero."""
     shape, limits = choice.shape, problems[0].settings.learn
-    pairs = [p.normal(columns, y) for p, columns, y in zip(problems, shape.columns, ys, strict=True)]
+    own = [columns[shape.free] for columns in shape.columns]
+    pairs = [p.normal(columns, y) for p, columns, y in zip(problems, own, ys, strict=True)]
     normal, slope = np.sum([n for n, _ in pairs], axis=0), np.sum([s for _, s in pairs], axis=0)
-    penalised = penalty(len(normal)) * choice.weight * np.trace(normal) / np.trace(penalty(len(normal)))
+    bent = _penalty(shape.free)
+    penalised = bent * choice.weight * np.trace(normal) / np.trace(bent)
     factor = _factor(normal, penalised)
     c = -cho_solve(factor, slope)
     bread = cho_solve(factor, np.eye(len(c)))
     freedom = float(np.trace(bread @ normal))
     scores = np.concatenate(
-        [_scores(p, columns, y, c) for p, columns, y in zip(problems, shape.columns, ys, strict=True)], axis=1
+        [_scores(p, columns, y, c) for p, columns, y in zip(problems, own, ys, strict=True)], axis=1
     )
     count = scores.shape[1]
     robust = bread @ scores @ scores.T @ bread * count / max(1.0, count - freedom)
     wider = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(bread), 1e-300)))
-    covariance = bread * np.outer(wider, wider)
+    places = np.eye(shape.free.size)[:, shape.free]
+    c, covariance = places @ c, places @ (bread * np.outer(wider, wider)) @ places.T
     unknown = abs(shape.mean @ c) < limits.sure * np.sqrt(shape.mean @ covariance @ shape.mean)
-    if choice.centred and unknown:
+    if choice.centred and unknown and np.all(shape.free):
         about = np.eye(len(c)) - np.outer(np.ones(len(c)), shape.mean)  # equal coefficients: a constant
         c, covariance = about @ c, about @ covariance @ about.T
     return Fitted(shape.at(c, np.sqrt(np.diag(covariance)).tolist()), covariance, freedom)
