@@ -23,6 +23,7 @@ from flexjoint.diagnosis.result import DataFinding, Diagnosis, Finding, Remainin
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.robust_search import JointwiseProblem, search_robustly
+from flexjoint.diagnosis.search.robust_together import confirmed
 from flexjoint.diagnosis.search.selection import Key, Selection, select
 from flexjoint.diagnosis.search.together import combine
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
@@ -104,7 +105,7 @@ def diagnose(
     case, spread, common = _combined(first, robots, recordings, task)
     task.report(0.92, "measuring the gain on held-out data")
     case = reviewed(_simulated(case, robots[0], recordings[0], problem), checks.SIMULATION)
-    case, robust = _searched_robustly(case, candidates, len(recordings), task)
+    case, robust = _searched_robustly(case, candidates, robots, recordings, task)
     case = reviewed(_joint_by_joint(case, candidates, len(recordings), task), checks.SIMULATION)
     stated = reviewed(_stated(case, spread, refine, len(recordings), task), checks.FINDINGS)
     known = _known(recordings, payloads)
@@ -202,16 +203,22 @@ def _simulated(case: Case, robot: Robot, recording: Recording, problem: Problem)
 
 
 def _searched_robustly(
-    case: SimulatedCase, candidates: Sequence[Candidate], count: int, task: _Task
+    case: SimulatedCase,
+    candidates: Sequence[Candidate],
+    robots: Sequence[Robot],
+    recordings: Sequence[Recording],
+    task: _Task,
 ) -> tuple[SimulatedCase, tuple[str, ...]]:
-    """The case with causes that the simulation confirms, where only implausible nominal numbers would explain
-    an error of the only recording, and notes."""
-    if count > 1 or case.measured is None or not _undecided(case.selection):
+    """The case with causes that the simulation confirms, that of every recording, where only implausible
+    nominal numbers would explain an error of the first, and notes."""
+    if case.measured is None or not _undecided(case.selection):
         return case, ()
     if task.budget.spent:
         return case, ("the time allowed was over before the robust search, which the rest asks for",)
     report = _part(task.report, SEARCHED, 0.02)
     again = search_robustly(case.robot, case.recording, case.problem, case.selection, candidates, report)
+    if again is not None and len(recordings) > 1:
+        again = confirmed(again, case.selection, robots[1:], recordings[1:])
     if again is None:
         return case, ()
     why = "the simulation of the joint needs it"

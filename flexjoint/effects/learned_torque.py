@@ -19,7 +19,7 @@ class LearnedTorque(Effect):
         START,
         SPAN,
     )
-    words = (Word("signal", ("dtheta", "theta", "tau_t"), "dtheta"),)
+    words = (Word("signal", ("dtheta", "theta", "tau_t", "tau_m", "tau_m_before", "tau_m_after"), "dtheta"),)
     is_cause = False
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:

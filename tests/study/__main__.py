@@ -29,7 +29,7 @@ def shard(text: str) -> tuple[int, int]:
     return int(index), int(count)
 
 
-def main() -> None:
+def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     commands = parser.add_subparsers(required=True, dest="command")
     for name in ("run", "table", "misses", "goals", "ablation"):
@@ -51,6 +51,11 @@ def main() -> None:
             )
     command = commands.add_parser("smallest")
     command.add_argument("--table", type=Path, default=Path("docs/site/smallest_sizes.json"))
+    return parser
+
+
+def main() -> None:
+    parser = arguments()
     given = parser.parse_args()
     if given.command == "smallest":
         write_smallest(given.table)

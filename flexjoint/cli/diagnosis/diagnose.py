@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> None:
     payloads = parse(arguments.payload, [str(path) for path in paths])
     shown_on_page = examined(nominal, recordings, budget.seconds) if asked.report is not None else None
     several = list(recordings) if len(recordings) > 1 else []
-    kept = recordings[0] if arguments.learn else None
+    kept = list(recordings) if arguments.learn else []
     with Progress() as bar:
         if not arguments.quiet:
             bar.expect(min(budget.left, expected_seconds(nominal, recordings, workers_of(None))))
@@ -66,10 +66,9 @@ def run(arguments: argparse.Namespace) -> None:
             if not arguments.quiet:
                 bar(1.0, "comparing the recordings with each other")
             diagnosis = agreement(nominal, several, diagnosis, payloads=payloads)
-        if kept is not None:
+        if kept:
             report = silent if arguments.quiet else bar
-            load = payloads[0] if payloads else None
-            diagnosis = learn(nominal, kept, diagnosis, payload=load, budget=budget, progress=report)
+            diagnosis = learn(nominal, kept, diagnosis, payloads=payloads, budget=budget, progress=report)
     html = None
     if shown_on_page is not None:  # its numbers are those of all causes that it names
         html = page(diagnosis, nominal, diagnosis.extend(nominal, least=0.0), shown_on_page)

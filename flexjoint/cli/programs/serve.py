@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexjoint.cli.diagnosis.plan import sentences
-from flexjoint.cli.outputs import check_place
+from flexjoint.cli.outputs import Asked, check_place
 from flexjoint.core.errors import FlexJointError, MissingExtraError
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.comparison import compare as comparing
 from flexjoint.diagnosis.followup import experiment
 from flexjoint.diagnosis.followup.agreement.agreement import agreement
 from flexjoint.diagnosis.followup.checking import check as checking
-from flexjoint.diagnosis.result import to_json
+from flexjoint.diagnosis.followup.learning import learn as learning
+from flexjoint.diagnosis.result import Diagnosis, to_json
 from flexjoint.diagnosis.result.known import parsed
 from flexjoint.diagnosis.result.wording import cause
 from flexjoint.effects import catalogue
@@ -48,7 +49,7 @@ def server() -> MCPServer:
     except ImportError:
         raise MissingExtraError("mcp", "mcp") from None
     made = MCPServer("flexjoint", instructions=ABOUT)
-    for tool in (diagnose, check, compare, plan, explain):
+    for tool in (diagnose, learn, check, compare, plan, explain):
         made.tool()(_saying(tool))
     return made
 
@@ -74,12 +75,24 @@ def diagnose(recordings: list[str], robot: str, out: str = "") -> dict[str, Any]
     name. out: path of a .json that the diagnosis is written to as well. It may take minutes.
     """
     nominal = load(robot)
-    found = [_recording(str(log), nominal) for path in recordings for log in logs_in(path)]
-    _check_out(out, (".json",), recordings)
-    result = agreement(nominal, found, pipeline.diagnose(nominal, found))
-    if out:
-        result.write(out)
-    return to_json(result)
+    asked = _asked(out, "", [*recordings, robot])
+    result = _diagnosed(nominal, _read(recordings, nominal))
+    return _written(asked, result, nominal)
+
+
+def learn(recordings: list[str], robot: str, out: str = "", model: str = "") -> dict[str, Any]:
+    """Diagnose recordings of a robot, then learn smooth laws without a name of what no cause explains, each
+    kept only where it holds on data that it did not see. `learned` of the answer holds them.
+
+    recordings: paths of tables, logs or folders of them. robot: path of a robot file, or a shipped robot's
+    name. out: path of a .json that the diagnosis is written to as well. model: path of a .yaml that the robot
+    with its likely causes and these laws is written to. It may take minutes.
+    """
+    nominal = load(robot)
+    asked = _asked(out, model, [*recordings, robot])
+    found = _read(recordings, nominal)
+    result = learning.learn(nominal, found, _diagnosed(nominal, found))
+    return _written(asked, result, nominal)
 
 
 def check(recording: str, against: str, robot: str = "") -> dict[str, Any]:
@@ -140,6 +153,27 @@ def _explained(content: Mapping[str, Any], index: int) -> dict[str, Any]:
         "could_also_be": one["indistinguishable"],
         "next_experiment": content["next_experiment"],
     }
+
+
+def _read(recordings: Sequence[str], robot: Robot) -> list[Recording]:
+    return [_recording(str(log), robot) for path in recordings for log in logs_in(path)]
+
+
+def _diagnosed(robot: Robot, recordings: Sequence[Recording]) -> Diagnosis:
+    return agreement(robot, recordings, pipeline.diagnose(robot, recordings))
+
+
+def _asked(out: str, model: str, inputs: Sequence[str]) -> Asked:
+    """The files that are to be written; refused before the long work where they cannot be."""
+    asked = Asked(json=Path(out) if out else None, model=Path(model) if model else None)
+    asked.check([Path(path) for path in inputs])
+    return asked
+
+
+def _written(asked: Asked, diagnosis: Diagnosis, nominal: Robot) -> dict[str, Any]:
+    content = to_json(diagnosis, asked.model_name())
+    asked.write(content, None, diagnosis.extend(nominal))
+    return content
 
 
 def _recording(path: str, robot: Robot) -> Recording:

@@ -44,7 +44,7 @@ def removed_line(law: LearnedLaw, joints: Joints) -> str:
     part = less(law.removed.without, law.removed.left)
     return sentence(
         f"{capital(name_of(law, joints))}: error of the {clean(law.removed.balance)} balance {fall} ({part}),"
-        f" {percent(law.share)} of what is above the noise, with {number(law.freedom, 2)} degrees of freedom"
+        f" {percent(law.share)} of its square, with {number(law.freedom, 2)} degrees of freedom"
     )
 
 

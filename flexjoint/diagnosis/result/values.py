@@ -287,7 +287,7 @@ class LearnedLaw:
 
     The curve is `value` (M,) with standard errors `std` (M,) in `unit` at `at` (M,) of the signal in
     `signal_unit`. `removed` is what it removes on data that its fit did not see, `share` the same as a share
-    of the squared error above the noise in the joint's whitened balances."""
+    of the squared error, noise included."""
 
     effect: str
     joint: str

@@ -152,16 +152,7 @@ class _JointSearch:
 
     def errors(self, effects: Sequence[Planned]) -> np.ndarray | None:
         """(n,) mean NRMSE of each joint's simulated positions; None: it cannot be simulated."""
-        try:
-            model = FlexibleJointModel(self.problem.robot.extended(effects))
-            run = compared(model, self.problem.readings.recording)
-        except FlexJointError:
-            return None
-        sizes = [
-            [run.nrmse[key] for key in (f"q.{joint}", f"theta.{joint}") if key in run.nrmse]
-            for joint in self.problem.robot.joint_names
-        ]
-        return np.array([np.mean(size) if size else np.nan for size in sizes])
+        return simulated_errors(self.problem.robot, self.problem.readings.recording, effects)
 
     def cleared(self, best: Fit, trial: Fit, k: int) -> float:
         """Factor in variance by which a set leaves less in the balances of joint k."""
@@ -218,6 +209,20 @@ class _JointSearch:
         if np.any(errors > limits.disturbed * before):
             return None
         return trial, errors
+
+
+def simulated_errors(robot: Robot, recording: Recording, effects: Sequence[Planned]) -> np.ndarray | None:
+    """(n,) mean NRMSE of each joint's simulated positions, of a recording on its regular clock; None: it
+    cannot be simulated."""
+    try:
+        run = compared(FlexibleJointModel(robot.extended(effects)), recording)
+    except FlexJointError:
+        return None
+    sizes = [
+        [run.nrmse[key] for key in (f"q.{joint}", f"theta.{joint}") if key in run.nrmse]
+        for joint in robot.joint_names
+    ]
+    return np.array([np.mean(size) if size else np.nan for size in sizes])
 
 
 def _still_supported(best: Fit) -> Fit:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances, balances_of
-from flexjoint.diagnosis.regression.deviations import deviation_effects
+from flexjoint.diagnosis.regression.deviations import converged_deviations, deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, fit, nominal_deviations
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Remaining, Removed
@@ -185,6 +185,12 @@ def joint_uncorrected(problem: Problem, effects: Sequence[Planned], joint: str) 
     left = uncorrected(problem, effects)[:, away(problem)]
     total = _total(problem.balances, left, problem.robot.joint_names.index(joint))
     return 0.0 if total is None else float(np.sqrt(np.mean(total**2)))
+
+
+def left_beside(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
+    """(rows, N) what effects leave of all balances [N m] on all usable samples, beside nominal numbers as the
+    samples that the problem counts tell them: on the others it is unseen."""
+    return _left(problem, effects, converged_deviations(problem, effects, problem.residual(effects)))
 
 
 def _left(problem: Problem, effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:

@@ -112,6 +112,9 @@ def test_the_command_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
 # ------------------------------------------------------------------ Model Context Protocol
 def test_a_client_calls_the_tools_over_stdio(folder: Path) -> None:
     pytest.importorskip("mcp")
+    hose = Planted("kinked_hose", "swing", {"torque": 6.0, "angle": 0.2, "width": 0.1})  # of no catalogue
+    one = plant(LEVER, [hose], "rich", 8.0, 3, SENSORS["full"])
+    write_recording(as_recording(one, "hose"), folder / "hose.parquet")
     asyncio.run(asyncio.wait_for(_calls(folder), 100.0))
 
 
@@ -124,7 +127,9 @@ async def _calls(folder: Path) -> None:
     diagnosis, recording = str(folder / "diagnosis.json"), str(folder / "rec.parquet")
     async with Client(command) as client:
         tools = await client.list_tools()
-        assert {tool.name for tool in tools.tools} == {"diagnose", "check", "compare", "plan", "explain"}
+        assert {tool.name for tool in tools.tools} == {
+            "diagnose", "learn", "check", "compare", "plan", "explain",
+        }  # fmt: skip
 
         async def call(tool: str, **arguments: Any) -> dict[str, Any]:
             answer = await client.call_tool(tool, arguments)
@@ -139,5 +144,16 @@ async def _calls(folder: Path) -> None:
         assert checked["verdict"] == "as_before"
         compared = await call("compare", recording=recording, robot=str(LEVER))
         assert compared["windows"] == 12 and np.isfinite(compared["rms"]["q.swing"])
+        extended = folder / "learned.yaml"
+        learned = await call(
+            "learn", recordings=[str(folder / "hose.parquet")], robot=str(LEVER), model=str(extended)
+        )
+        jsonschema = pytest.importorskip("jsonschema")
+        jsonschema.validate(learned, schema("diagnosis"), cls=jsonschema.Draft202012Validator)
+        assert [law["signal"] for law in learned["learned"]["laws"]] == ["q"]
+        assert learned["model"] == str(extended)
+        again = await call("compare", recording=str(folder / "hose.parquet"), robot=str(extended))
+        before = await call("compare", recording=str(folder / "hose.parquet"), robot=str(LEVER))
+        assert again["nrmse"]["q.swing"] < 0.1 * before["nrmse"]["q.swing"]
         wrong = await client.call_tool("compare", {"recording": "none.csv", "robot": str(LEVER)})
         assert wrong.is_error and "none.csv" in wrong.content[0].text  # type: ignore[union-attr]

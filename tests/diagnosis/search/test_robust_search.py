@@ -21,6 +21,7 @@ from flexjoint.diagnosis.search.robust_search import (
     _on_all_joints,
     search_robustly,
 )
+from flexjoint.diagnosis.search.robust_together import confirmed
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.search.trials import on_all_joints
 from flexjoint.effects import Planned, effect
@@ -124,3 +125,37 @@ def test_a_joint_that_is_not_late_stays_so() -> None:
 
     assert [e.key for e in wider.effects[2:]] == [("sensor_delay", "twist")]
     assert _on_all_joints(named, candidates) is named
+
+
+# ------------------------------------------------------------------ several recordings
+def test_what_the_first_recording_shows_must_hold_in_the_others() -> None:
+    """A friction that acts is kept; a drag that only the first recording's fit would take is not."""
+    robot, friction = nominal("gimbal"), Planted("motor_coulomb_friction", "tilt", {"level": 1.0})
+    first, other = (as_recording(Case("gimbal", "rich", seed).with_causes(friction)) for seed in (5, 6))
+    true = effect("motor_coulomb_friction", "tilt", level=1.0)
+    wrong = effect("motor_viscous_friction", "twist", coefficient=2.0)
+    problem = Problem(balances_of(robot, first))
+    usual = first_look(problem, [])
+
+    def found(causes: list[Planned]) -> RobustFinding:
+        best = fit(problem, causes, iterations=0)
+        return RobustFinding(problem, Selection(best, usual.nothing, (), (), tuple(() for _ in causes)), ())
+
+    kept = confirmed(found([true, wrong]), usual, [robot], [other])
+    assert kept is not None and len(kept.selection.rivals) == 1
+    assert [e.key for e in kept.selection.best.effects] == [("motor_coulomb_friction", "tilt")]
+    assert "in all 2 recordings" in kept.notes[0] and "not confirmed" in kept.notes[1]
+    assert confirmed(found([wrong]), usual, [robot], [other]) is None
+    elsewhere = as_recording(Case("gimbal", "rich", 6).with_causes())  # a machine without that friction
+    assert confirmed(found([true]), usual, [robot], [elsewhere]) is None
+
+
+@thorough
+def test_the_real_robot_breaks_away_late_in_another_recording_too() -> None:
+    found = on_kr300("rec_A")
+    assert found is not None
+    late = [e for e in found.selection.best.effects if e.effect.name == "sensor_delay"]
+    usual = first_look(Problem(balances_of(load("kr300"), recorded_on_kr300("rec_A"))), late)
+    both = confirmed(found, usual, [load("kr300")], [recorded_on_kr300("rec_B")])
+    assert both is not None
+    assert ("breakaway_friction", "joint_3") in {e.key for e in both.selection.best.effects}

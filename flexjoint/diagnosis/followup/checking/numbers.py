@@ -25,22 +25,40 @@ UNSEEN = 1e100  # what a pseudo-inverse makes of a number without a trace is lar
 
 
 def checked(known: Known, best: Fit) -> tuple[CheckedCause, ...]:
-    """The known causes, each with its numbers before and now; `best` is their refit."""
+    """The known causes, each with its numbers before and now; `best` is the refit of those of which the
+    recording shows something."""
     limits, errors = best.settings.check, _errors(best)
     freedom = _freedom(best)
-    numbers = [
-        _numbers(best, was, now, spread, limits)
-        for was, now, spread in zip(known.causes, best.effects, errors, strict=True)
-    ]
+    refit = {now.key: (now, spread) for now, spread in zip(best.effects, errors, strict=True)}
+    found = [(was, *refit.get(was.key, (was, _endless(was)))) for was in known.causes]
+    numbers = [_numbers(best, was, now, spread, limits) for was, now, spread in found]
     named = [was.key in known.named for was in known.causes]
     chances = [_chance(n, freedom) for own, there in zip(numbers, named, strict=True) if there for n in own]
-    moved = iter(false_discovery_control(chances) <= limits.chance if chances else ())
+    far = iter(false_discovery_control(chances) <= limits.chance if chances else ())
     out = []
-    for was, now, spread, own, there in zip(known.causes, best.effects, errors, numbers, named, strict=True):
-        marked = tuple(_marked(n, bool(next(moved)), limits) for n in own) if there else own
-        state = _state(best, was, now, spread, any(n.moved for n in marked))
+    for (was, now, spread), own, there in zip(found, numbers, named, strict=True):
+        marked = tuple(_marked(n, bool(next(far)), limits) for n in own) if there else own
+        moved = any(n.moved for n in marked) and _back_costs(best, was) >= best.settings.verdict.sure**2
+        if not moved:
+            marked = tuple(n.as_moved(False) for n in marked)
+        state = _state(best, was, now, spread, moved)
         out.append(CheckedCause(was.effect.name, was.joint, state if there else "not tested", marked))
     return tuple(out)
+
+
+def _back_costs(best: Fit, was: Planned) -> float:
+    """Energy by which a cause's old numbers explain the recording worse than the refitted ones, the other
+    causes' kept. It is more than the squared distance in standard errors where all is linear; where a law is
+    bent, or the refit stopped beside a flat place, it may be nothing."""
+    problem = best.problem
+    back = [was if e.key == was.key else e for e in best.effects]
+    old, new = (problem.energy(problem.residual(effects)) for effects in (back, best.effects))
+    return old - new
+
+
+def _endless(cause: Planned) -> Errors:
+    """The standard errors of what a recording does not show."""
+    return {p.name: [np.inf] * p.size for p in cause.effect.params}
 
 
 def _numbers(

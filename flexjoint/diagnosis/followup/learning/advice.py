@@ -15,6 +15,18 @@ LOOK = {
         "what the motor needs or loses by its load: the torque constant at high current, losses of the gear,"
         " a load cell's or a current sensor's curve"
     ),
+    ("learned_torque", "tau_m"): (
+        "what becomes of the commanded torque: a dead zone or a limit of the drive, the torque constant,"
+        " losses of the gear that grow with the load"
+    ),
+    ("learned_torque", "tau_m_before"): (
+        "how the drive of the joint before acts on this one: a differential, tendons, bearing loads, a cable"
+        " harness, a supply that both share"
+    ),
+    ("learned_torque", "tau_m_after"): (
+        "how the drive of the joint after acts on this one: a differential, tendons, bearing loads, a cable"
+        " harness, a supply that both share"
+    ),
     ("learned_link_torque", "q"): (
         "what pulls at the link by its pose: hoses and cables, a spring or counterweight that balances it, a"
         " stop, a body whose mass or place is wrong"

@@ -29,19 +29,22 @@ TRIAL = 1e-3  # of a joint's torque: laws are linear in their coefficients, a sp
 # Of a law's range, at either end: what happens there alone (a stop) would make a spline over all of it swing
 PARTS = tuple(part for k in (0.5, 0.25, 0.125) for part in ((0.0, k), (1.0 - k, 1.0)))
 RIDGE = 1e-6  # of the mean curvature: coefficients that no sample shows stay finite
+AT_AN_END = 3  # coefficients that make a law's value at an end, and its slope and curvature there
 POINTS = 61  # of a law's curve
 WEIGHTS = np.logspace(-3.0, 5.0, 17)  # of the penalty, of curvature: from all degrees of freedom to two
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A law to be fitted: an effect on a joint with its signal and the signal's range, and its whitened
-    columns (coefficients, samples), one unit of each coefficient. `mean` (coefficients,) gives the law's mean
-    over the recording."""
+    """A law to be fitted: an effect on a joint with its signal and the signal's range, and, by recording, its
+    whitened columns (coefficients, samples), one unit of each coefficient. `mean` (coefficients,) gives the
+    law's mean over the recordings. Coefficients that are not `free` are none: so a law over a part of a range
+    is none over the rest of it, where no error is."""
 
     law: Planned
-    columns: np.ndarray
+    columns: tuple[np.ndarray, ...]
     mean: np.ndarray
+    free: np.ndarray  # (coefficients,) bool
 
     def at(self, coefficients: np.ndarray, std: Sequence[float] = ()) -> Planned:
         """The law with these coefficients, inside their bounds."""
@@ -68,23 +71,32 @@ def coefficients_of(law: Planned) -> Parameter:
     return size
 
 
+def coefficients(law: Planned) -> tuple[float, ...]:
+    """(k,) the coefficients of a law."""
+    values: tuple[float, ...] = law.values[coefficients_of(law).name]
+    return values
+
+
+def signal_of(problem: Problem, law: Planned) -> np.ndarray:
+    """(N,) what a law follows, on the usable samples of a recording."""
+    return np.asarray(getattr(problem.signals(law.joint), law.values["signal"]))
+
+
 def shape_of(
-    problem: Problem, candidate: Candidate, base: Sequence[Planned], limits: LearnSettings
+    problems: Sequence[Problem], candidate: Candidate, base: Sequence[Planned], limits: LearnSettings
 ) -> Shape | None:
-    """The law over the range that its signal has in the recording; None where that does not move."""
-    assert candidate.joint is not None
-    joint = problem.robot.joint(candidate.joint)
-    signal = np.asarray(getattr(problem.signals(joint.name), dict(candidate.words)["signal"] or ""))
-    low, high = np.quantile(signal, (limits.outside, 1.0 - limits.outside))
+    """The law over the range that its signal has in the recordings; None where that does not move."""
     law = candidate.planned({})
+    signal = np.concatenate([signal_of(problem, law) for problem in problems])
+    low, high = np.quantile(signal, (limits.outside, 1.0 - limits.outside))
     span = next(p for p in law.effect.params if p.name == "span")
     if not span.low < high - low < span.high:
         return None
-    return _shape(problem, law.with_values({"start": float(low), "span": float(high - low)}), base)
+    return _shape(problems, law.with_values({"start": float(low), "span": float(high - low)}), base)
 
 
 def part_of(
-    problem: Problem, shape: Shape, part: tuple[float, float], base: Sequence[Planned]
+    problems: Sequence[Problem], shape: Shape, part: tuple[float, float], base: Sequence[Planned]
 ) -> Shape | None:
     """The same over a part of its range, beyond which it is constant; None where that is no range."""
     law = shape.law
@@ -93,10 +105,21 @@ def part_of(
     if span * (high - low) <= next(p for p in law.effect.params if p.name == "span").low:
         return None
     law = law.with_values({"start": start + low * span, "span": (high - low) * span})
-    return _shape(problem, law, base)
+    one = _shape(problems, law, base)
+    free = one.free.copy()
+    free[: AT_AN_END if low > 0.0 else 0] = False
+    free[free.size - (AT_AN_END if high < 1.0 else 0) :] = False
+    return replace(one, free=free)
 
 
-def _shape(problem: Problem, law: Planned, base: Sequence[Planned]) -> Shape:
+def _shape(problems: Sequence[Problem], law: Planned, base: Sequence[Planned]) -> Shape:
+    signal = np.concatenate([signal_of(problem, law) for problem in problems])
+    columns = tuple(_columns(problem, law, base) for problem in problems)
+    mean = np.mean(basis(law, signal), axis=0)
+    return Shape(law, columns, mean, np.ones(mean.size, dtype=bool))
+
+
+def _columns(problem: Problem, law: Planned, base: Sequence[Planned]) -> np.ndarray:
     assert law.joint is not None
     joint = problem.robot.joint(law.joint)
     size = coefficients_of(law)
@@ -108,8 +131,7 @@ def _shape(problem: Problem, law: Planned, base: Sequence[Planned]) -> Shape:
         unit = tuple(trial if i == k else 0.0 for i in range(size.size))
         moved = problem.denoised_moved_band(base, [*base, law.with_values({size.name: unit})])
         columns.append(problem.whitening.white(moved).ravel() / trial)
-    signal = np.asarray(getattr(problem.signals(joint.name), law.values["signal"]))
-    return Shape(law, np.array(columns), np.mean(basis(law, signal), axis=0))
+    return np.array(columns)
 
 
 def basis(law: Planned, at: np.ndarray) -> np.ndarray:
@@ -132,26 +154,37 @@ def penalty(count: int) -> np.ndarray:
     return np.asarray(second.T @ second)
 
 
-def chosen(problem: Problem, shape: Shape, y: np.ndarray, folds: np.ndarray) -> Choice:
-    """The weight with which a shape, fitted to the residual y of all other blocks of time, foretells those
-    left out best. `folds` (N,) numbers the block of each sample of time; what the problem does not use
-    counts nowhere."""
-    columns = problem.project(shape.columns) * problem.weights
-    rest = problem.rest(y) * problem.weights
-    every = np.tile(folds, len(problem.balances.rows))
-    used = problem.squares > 0.0
-    parts = [used & (every == fold) for fold in np.unique(folds[problem.used > 0.0])]
-    normals = np.array([columns[:, part] @ columns[:, part].T for part in parts])
-    slopes = np.array([columns[:, part] @ rest[part] for part in parts])
-    nothing = float(rest @ rest)
+def _penalty(free: np.ndarray) -> np.ndarray:
+    """That of the coefficients that are free, the others being none."""
+    return penalty(free.size)[np.ix_(free, free)]
+
+
+def chosen(
+    problems: Sequence[Problem], shape: Shape, ys: Sequence[np.ndarray], folds: Sequence[np.ndarray]
+) -> Choice:
+    """The weight with which a shape, fitted to the residuals ys of all other parts of time, foretells those
+    left out best. `folds` (N,) numbers, by recording, the part of each sample of time; what a problem does
+    not use counts nowhere."""
+    normals: list[np.ndarray] = []
+    slopes: list[np.ndarray] = []
+    nothing = 0.0
+    for problem, given, y, own in zip(problems, shape.columns, ys, folds, strict=True):
+        columns = problem.project(given[shape.free]) * problem.weights
+        rest = problem.rest(y) * problem.weights
+        every = np.tile(own, len(problem.balances.rows))
+        used = problem.squares > 0.0
+        parts = [used & (every == fold) for fold in np.unique(own[problem.used > 0.0])]
+        normals += [columns[:, part] @ columns[:, part].T for part in parts]
+        slopes += [columns[:, part] @ rest[part] for part in parts]
+        nothing += float(rest @ rest)
     whole, slope = np.sum(normals, axis=0), np.sum(slopes, axis=0)
-    scaled = penalty(len(columns)) * np.trace(whole) / np.trace(penalty(len(columns)))
+    scaled = _penalty(shape.free) * np.trace(whole) / np.trace(_penalty(shape.free))
     best, least = float(WEIGHTS[-1]), np.inf
     for weight in WEIGHTS:
         error = nothing
-        for own, pull in zip(normals, slopes, strict=True):
-            c = _solved(whole - own, slope - pull, weight * scaled)
-            error += float(2.0 * c @ pull + c @ own @ c)
+        for part, pull in zip(normals, slopes, strict=True):
+            c = _solved(whole - part, slope - pull, weight * scaled)
+            error += float(2.0 * c @ pull + c @ part @ c)
         if error < least:
             best, least = float(weight), error
     return Choice(shape, best, least / max(nothing, 1e-300))
@@ -192,30 +225,41 @@ class Fitted:
         return float(np.max(np.abs(value) / np.maximum(std, 1e-300)))
 
 
-def fitted(problem: Problem, choice: Choice, y: np.ndarray) -> Fitted:
-    """The coefficients from the samples that a problem uses.
+def fitted(problems: Sequence[Problem], choice: Choice, ys: Sequence[np.ndarray]) -> Fitted:
+    """The coefficients from the samples that the problems use.
 
     The covariance is that of the posterior (Wahba 1983; Wood 2006), widened where scores of blocks of time
     say that what is left is not white (`fit.covariance` does the same). A mean that is not known, since
     unknown zeros of sensors and torques may stand for it, is no part of a centred law, whose mean is zero."""
-    shape, limits = choice.shape, problem.settings.learn
-    normal, slope = problem.normal(shape.columns, y)
-    penalised = penalty(len(normal)) * choice.weight * np.trace(normal) / np.trace(penalty(len(normal)))
+    shape, limits = choice.shape, problems[0].settings.learn
+    own = [columns[shape.free] for columns in shape.columns]
+    pairs = [p.normal(columns, y) for p, columns, y in zip(problems, own, ys, strict=True)]
+    normal, slope = np.sum([n for n, _ in pairs], axis=0), np.sum([s for _, s in pairs], axis=0)
+    bent = _penalty(shape.free)
+    penalised = bent * choice.weight * np.trace(normal) / np.trace(bent)
     factor = _factor(normal, penalised)
     c = -cho_solve(factor, slope)
     bread = cho_solve(factor, np.eye(len(c)))
     freedom = float(np.trace(bread @ normal))
-    blocks = ((problem.time - problem.time[0]) / problem.settings.regression.time_block).astype(int)
-    blocks = np.tile(blocks, len(problem.balances.rows))
-    residual = problem.rest(y + c @ shape.columns) * problem.weights
-    projected = problem.project(shape.columns) * problem.weights
-    count = int(blocks.max()) + 1
-    scores = np.stack([np.bincount(blocks, row * residual, count) for row in projected])
+    scores = np.concatenate(
+        [_scores(p, columns, y, c) for p, columns, y in zip(problems, own, ys, strict=True)], axis=1
+    )
+    count = scores.shape[1]
     robust = bread @ scores @ scores.T @ bread * count / max(1.0, count - freedom)
     wider = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(bread), 1e-300)))
-    covariance = bread * np.outer(wider, wider)
+    places = np.eye(shape.free.size)[:, shape.free]
+    c, covariance = places @ c, places @ (bread * np.outer(wider, wider)) @ places.T
     unknown = abs(shape.mean @ c) < limits.sure * np.sqrt(shape.mean @ covariance @ shape.mean)
-    if choice.centred and unknown:
+    if choice.centred and unknown and np.all(shape.free):
         about = np.eye(len(c)) - np.outer(np.ones(len(c)), shape.mean)  # equal coefficients: a constant
         c, covariance = about @ c, about @ covariance @ about.T
     return Fitted(shape.at(c, np.sqrt(np.diag(covariance)).tolist()), covariance, freedom)
+
+
+def _scores(problem: Problem, columns: np.ndarray, y: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """(coefficients, blocks) slopes of what is left, by block of time."""
+    blocks = ((problem.time - problem.time[0]) / problem.settings.regression.time_block).astype(int)
+    blocks = np.tile(blocks, len(problem.balances.rows))
+    residual = problem.rest(y + c @ columns) * problem.weights
+    projected = problem.project(columns) * problem.weights
+    return np.stack([np.bincount(blocks, row * residual) for row in projected])
