@@ -14,7 +14,7 @@ from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.statics.equilibrium import equilibrium
 from flexjoint.model.statics.start import at_rest, initial_positions
 from flexjoint.recording.table import Recording, make
-from flexjoint.robot.robot import Robot
+from flexjoint.robot.robot import Robot, expect
 from flexjoint.simulation.controllers import law_of
 from flexjoint.simulation.loop import physics_rate
 from flexjoint.simulation.options import DEFAULTS, RunOptions
@@ -41,7 +41,7 @@ class Simulation:
 
 
 def simulate(
-    model: FlexibleJointModel,
+    model: FlexibleJointModel | Robot,
     reference: Recording,
     options: RunOptions = DEFAULTS,
     *,
@@ -54,6 +54,7 @@ def simulate(
     """Simulate the model from rest along a reference.
 
     Args:
+        model: a robot, with the effects that it lists, or a model.
         reference: q_ref (or theta_ref and tau_ff) of every actuated joint for the controller; or tau_m or
             tau_motor for the motors. Between its samples it is interpolated linearly. An absent theta_ref
             is q_ref + g(q_ref)/K and an absent tau_ff is g(q_ref), of the nominal model.
@@ -64,10 +65,13 @@ def simulate(
             `resolution`.
 
     Raises:
+        RobotError: what is handed in first is neither.
         RecordingError: the reference lacks what the drive needs.
         SimulationError: see `flexjoint.simulation.loop`, or a sample rate that does not divide the physics
             rate.
     """
+    if not isinstance(model, FlexibleJointModel):
+        model = FlexibleJointModel(expect(model, "simulate"))
     rate = options.rate_for(model.robot)
     stride = _stride(rate, sample_rate)
     names = model.robot.joint_names

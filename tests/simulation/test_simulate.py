@@ -288,3 +288,13 @@ def test_what_cannot_be_simulated_is_refused_with_a_remedy() -> None:
         rollout(wild, wild.rest(), np.ones((5000, 1)), RunOptions(rate=1000.0, engine="pin"))
     with pytest.raises(RecordingError, match="no tau_m or tau_motor"):
         simulate(model, reference(("joint",)), drive="torque")
+
+
+def test_a_robot_is_simulated_as_its_model_is_and_what_is_neither_is_refused() -> None:
+    robot = make(PENDULUM)
+    reference = table(np.linspace(0.0, 0.2, 201), {("q_ref", "joint"): np.zeros(201)}, "still")
+    of_robot, of_model = (simulate(one, reference) for one in (robot, FlexibleJointModel(robot)))
+
+    np.testing.assert_array_equal(of_robot.trajectory.q, of_model.trajectory.q)
+    with pytest.raises(RobotError, match="simulate: expected a robot first"):
+        simulate("arm.yaml", reference)  # type: ignore[arg-type]
