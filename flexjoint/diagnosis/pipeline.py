@@ -31,9 +31,9 @@ from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.diagnosis.verdict import checks, held_out, verdict
 from flexjoint.diagnosis.verdict.cases import Case, SimulatedCase, StatedCase
 from flexjoint.diagnosis.verdict.experiment import advice
-from flexjoint.diagnosis.verdict.friction import FRICTION
-from flexjoint.diagnosis.verdict.joint_by_joint import joint_by_joint
-from flexjoint.diagnosis.verdict.joint_search import JOINT_SEARCH
+from flexjoint.diagnosis.verdict.joints.by_itself import joint_by_joint
+from flexjoint.diagnosis.verdict.joints.friction import FRICTION
+from flexjoint.diagnosis.verdict.joints.search import JOINT_SEARCH
 from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
 from flexjoint.diagnosis.verdict.review import notes, reviewed
 from flexjoint.diagnosis.verdict.unseen import remaining, standing_out

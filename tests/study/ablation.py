@@ -21,9 +21,9 @@ from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.verdict import cases as verdict_cases
 from flexjoint.diagnosis.verdict import checks
-from flexjoint.diagnosis.verdict.friction import FRICTION
-from flexjoint.diagnosis.verdict.joint_by_joint import Stage
-from flexjoint.diagnosis.verdict.joint_search import JOINT_SEARCH
+from flexjoint.diagnosis.verdict.joints.by_itself import Stage
+from flexjoint.diagnosis.verdict.joints.friction import FRICTION
+from flexjoint.diagnosis.verdict.joints.search import JOINT_SEARCH
 
 from . import dirty
 from .cases import COUNTS, DIRTY, SEALED, StudyCase, make

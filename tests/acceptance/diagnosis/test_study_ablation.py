@@ -13,8 +13,8 @@ from study.cases import COUNTS, DIRTY, SEALED
 
 from flexjoint.diagnosis import pipeline
 from flexjoint.diagnosis.verdict import checks
-from flexjoint.diagnosis.verdict.friction import FRICTION
-from flexjoint.diagnosis.verdict.joint_search import JOINT_SEARCH
+from flexjoint.diagnosis.verdict.joints.friction import FRICTION
+from flexjoint.diagnosis.verdict.joints.search import JOINT_SEARCH
 
 
 def finding(effect: str, probability: float, joint: str = "swing") -> dict[str, Any]:

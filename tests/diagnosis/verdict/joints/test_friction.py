@@ -15,8 +15,8 @@ from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.selection import Selection
-from flexjoint.diagnosis.verdict.friction import FRICTION
-from flexjoint.diagnosis.verdict.joint_by_joint import joint_by_joint
+from flexjoint.diagnosis.verdict.joints.by_itself import joint_by_joint
+from flexjoint.diagnosis.verdict.joints.friction import FRICTION
 from flexjoint.effects import Planned, effect
 
 ORDINARY = ("motor_coulomb_friction", "motor_viscous_friction")

@@ -11,7 +11,7 @@ from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.scan import Scanner
-from flexjoint.diagnosis.verdict.joint_by_joint import JointSet, Question, Stage, stands_out
+from flexjoint.diagnosis.verdict.joints.by_itself import JointSet, Question, Stage, stands_out
 from flexjoint.diagnosis.verdict.unseen import Unseen, beyond_background, remaining
 from flexjoint.effects import Planned
 

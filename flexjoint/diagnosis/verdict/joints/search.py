@@ -8,7 +8,7 @@ from dataclasses import replace
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.selection import select
-from flexjoint.diagnosis.verdict.joint_by_joint import JointSet, Question, Stage, clears
+from flexjoint.diagnosis.verdict.joints.by_itself import JointSet, Question, Stage, clears
 from flexjoint.diagnosis.verdict.unseen import Unseen, lefts, missing_causes
 
 WHY = "searched by itself, its joint is left less wrong by more than a background with it, on data not fitted"

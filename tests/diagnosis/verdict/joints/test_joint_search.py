@@ -17,8 +17,8 @@ from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidate
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.settings import USUAL
-from flexjoint.diagnosis.verdict.joint_by_joint import Question, clears, joint_by_joint
-from flexjoint.diagnosis.verdict.joint_search import JOINT_SEARCH
+from flexjoint.diagnosis.verdict.joints.by_itself import Question, clears, joint_by_joint
+from flexjoint.diagnosis.verdict.joints.search import JOINT_SEARCH
 from flexjoint.diagnosis.verdict.unseen import unseen_problem
 from flexjoint.effects import Planned, effect
 
