@@ -289,8 +289,7 @@ def _diagnosis(
     selection, best = case.selection, case.selection.best
     named, estimation = case.estimated
     limits, joints = task.settings.verdict, remaining(case.unseen)
-    every = verdict.merged(named, candidates, limits)
-    found = tuple(f for f in every if f.probability >= limits.stated)
+    found = verdict.merged(named, candidates, limits)
     kind, reason = _verdict(found, case.left, case.explained, standing_out(joints, limits), limits)
     blind = verdict.not_excited(selection, candidates)
     task.report(1.0, "done")
@@ -313,15 +312,15 @@ def _diagnosis(
             float(np.mean(best.problem.level.inflation)),
         ),
         estimation=estimation,
-        trace=(*case.trace, *_kept(every, limits)),
+        trace=(*case.trace, *_kept(found)),
         robot=case.robot.name,
         prismatic=case.robot.prismatic,
         rigid=all(joint.rigid for joint in case.robot.joints),
     )
 
 
-def _kept(found: Sequence[Finding], limits: VerdictSettings) -> tuple[Step, ...]:
-    """The last steps: joints' findings that are one of the robot's, and which of them are reported."""
+def _kept(found: Sequence[Finding]) -> tuple[Step, ...]:
+    """The last steps: joints' findings that are one of the robot's, and those that are reported."""
     out = []
     for f in found:
         for member in f.members:
@@ -338,21 +337,8 @@ def _kept(found: Sequence[Finding], limits: VerdictSettings) -> tuple[Step, ...]
                     text,
                 )
             )
-        stated = f.probability >= limits.stated
-        text = f"{f.planned if f.joint else f.effect} is {'reported' if stated else 'not reported'}"
-        text += f" with probability {f.probability:.2f}"
-        out.append(
-            Step(
-                "verdict",
-                "kept" if stated else "dropped",
-                f.effect,
-                f.joint,
-                None,
-                "verdict",
-                f.probability,
-                text,
-            )
-        )
+        text = f"{f.planned if f.joint else f.effect} is reported with probability {f.probability:.2f}"
+        out.append(Step("verdict", "kept", f.effect, f.joint, None, "verdict", f.probability, text))
     return tuple(out)
 
 

@@ -825,7 +825,6 @@ class VerdictSettings(Stage):
     simulated_belief: float = number(
         6.0, "log odds", "more for every factor of ten beyond that, and less below", "judgement"
     )
-    stated: float = number(0.05, "probability", "below which a cause is not reported", "judgement")
     likely: float = number(0.5, "probability", "from which a cause is taken to be there", "judgement")
     # --- whether the causes named are all
     finished: float = number(

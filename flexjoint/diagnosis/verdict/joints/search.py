@@ -8,7 +8,10 @@ from dataclasses import replace
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.selection import select
+from flexjoint.diagnosis.verdict import checks
+from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.joints.by_itself import JointSet, Question, Stage, clears
+from flexjoint.diagnosis.verdict.review import reviewed
 from flexjoint.diagnosis.verdict.unseen import Unseen, lefts, missing_causes
 
 WHY = "searched by itself, its joint is left less wrong by more than a background with it, on data not fitted"
@@ -16,13 +19,16 @@ WHY = "searched by itself, its joint is left less wrong by more than a backgroun
 
 def search(question: Question) -> JointSet | None:
     """The causes that a search of the joint by itself finds in the place of those that act within it. What
-    the joint has in common with others stays as it is. None where it clears nothing (`Question.clears`)."""
+    the joint has in common with others stays as it is. None where it clears nothing (`Question.clears`), and
+    of the only joint, which the usual search has looked at by itself."""
     joint, best = question.joint, question.best
+    if len({row.joint for row in best.problem.balances.rows}) == 1:
+        return None
     within = [e for e in question.own if acts_within_a_joint(e)]
     others = [e for e in best.effects if not any(e is one for one in within)]
-    found = select(
-        best.problem.of_joint(joint.joint, others), question.candidates, lambda _share, _what: None
-    )
+    problem = best.problem.of_joint(joint.joint, others)
+    case = Case(select(problem, question.candidates, lambda _share, _what: None), ())
+    found = reviewed(reviewed(case, checks.BALANCES), checks.NAMES).selection
     if {e.key for e in found.best.effects} <= {e.key for e in within}:
         return None
     shared = [e for e in question.own if not acts_within_a_joint(e)]
