@@ -124,10 +124,13 @@ def test_an_interrupt_during_a_fork_is_not_lost() -> None:
 
     os.register_at_fork(after_in_parent=interrupt)
     made = WorkerPool([])
+    # a shell has what it starts in the background ignore Ctrl-C
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
             made.fork(1)
         assert made.size == 2  # known, so that it is dismissed
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         made.dismiss()
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        signal.signal(signal.SIGINT, before)
