@@ -737,7 +737,7 @@ class VerdictSettings(Stage):
     better_without: float = number(
         0.95,
         "share of the error",
-        "of a simulation with a cause, or without it, up to which that one is better",
+        "of a simulation or a joint with a cause, or without it, up to which that one is better",
         "judgement",
     )
     alternatives_tried: int = number(

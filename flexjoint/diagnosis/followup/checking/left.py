@@ -11,8 +11,7 @@ from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.result.known import Known
 from flexjoint.diagnosis.settings import Settings
-from flexjoint.diagnosis.verdict.held_out import held_out_blocks
-from flexjoint.diagnosis.verdict.unseen import View, in_views, remaining, standing_out
+from flexjoint.diagnosis.verdict.unseen import View, away, in_views, remaining, standing_out
 from flexjoint.effects import Planned
 
 
@@ -20,13 +19,9 @@ def left_by(best: Fit, nothing: Fit | None = None) -> tuple[Remaining, ...]:
     """The torque error of each joint with the causes at work. `nothing`, the fit without any, gives the
     error before them; without it that is not told apart."""
     problem = best.problem
-    time, block = problem.balances.chains.t, problem.settings.verdict.held_out_block
-    away = held_out_blocks(time, block)[problem.readings.valid]
-    if not np.any(away) or np.all(away):
-        away = np.arange(away.size) % 2 == 1  # too short for blocks
     after = _series(best)
     before = after if nothing is None else _series(nothing)
-    return remaining(in_views(View(problem, away, before, after), best.effects))
+    return remaining(in_views(View(problem, away(problem), before, after), best.effects))
 
 
 def _series(best: Fit) -> np.ndarray:
