@@ -20,6 +20,10 @@ from mujoco import sysid
 
 from flexjoint_benchmark.adapters.joints import USUAL_TOLERANCE, Machine, answered, finding
 
+# mujoco hides that its own dependencies are missing, and leaves the module empty
+if not hasattr(sysid, "TimeSeries"):
+    raise ImportError("mujoco.sysid is not installed; run: pip install 'flexjoint[benchmark]'")
+
 CUTOFF = 80.0  # Hz: above the springs' resonances, so that what is fitted is what was measured
 STEP_RATE = 1000.0  # Hz, at which RK4 follows the springs
 WINDOW = 0.3  # s, before an open loop has drifted far from where it started
