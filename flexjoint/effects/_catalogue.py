@@ -39,6 +39,14 @@ class Planned:
         values = tuple(tuple(v) if isinstance(v, (list, tuple)) else v for v in self.values.values())
         return self.effect.name, self.joint, tuple(self.values), values, self.since
 
+    @cached_property
+    def place(self) -> tuple[object, ...]:
+        """Where signals meet it (`signal_order`)."""
+        law = self.effect
+        play = law.site is Site.DEFLECTION and law.overrides("slope") and law.is_cause
+        same = repr(self.identity)  # one effect on two channels, or on two joints
+        return list(Site).index(law.site), not law.overrides("delay"), play, law.name, same
+
     @property
     def p(self) -> Any:
         """The parameters as the laws take them."""
@@ -86,14 +94,7 @@ def signal_order(effects: Iterable[Planned]) -> tuple[Planned, ...]:
     Sites come in the order of `Site`. At one site a dead time comes first (what follows acts on the late
     signal), then effects by name; among deflections a play comes last, because the error of the gear that
     takes it up comes before it. The simulator and the diagnosis both evaluate effects in this order."""
-    sites = list(Site)
-
-    def place(e: Planned) -> tuple[object, ...]:
-        play = e.effect.site is Site.DEFLECTION and e.effect.overrides("slope") and e.effect.is_cause
-        same = repr(e.identity)  # one effect on two channels, or on two joints
-        return sites.index(e.effect.site), not e.effect.overrides("delay"), play, e.effect.name, same
-
-    return tuple(sorted(effects, key=place))
+    return tuple(sorted(effects, key=lambda e: e.place))
 
 
 @cache

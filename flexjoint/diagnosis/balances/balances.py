@@ -74,7 +74,10 @@ class Balances:
     def changed(self, base: Sequence[Planned], effects: Sequence[Planned]) -> dict[int, np.ndarray]:
         """The same, (F,) by row, of the rows that may differ."""
         out: dict[int, np.ndarray] = {}
-        before, after = self._all(base), self._all(effects)
+        sets = self._of_joints(base), self._of_joints(effects)
+        if _moving_links(base) == _moving_links(effects):
+            return self._changed_within(base, *sets)
+        before, after = (self._chains(lists) for lists in sets)
         load: np.ndarray | float = 0.0
         loading, loaded = self._loading(base, before), self._loading(effects, after)
         if loading != loaded:
@@ -95,6 +98,26 @@ class Balances:
                 out[r] = out[r] - change if r in out else -change
         return out
 
+    def _changed_within(
+        self, base: Sequence[Planned], before_of: Sequence[list[Planned]], after_of: Sequence[list[Planned]]
+    ) -> dict[int, np.ndarray]:
+        """`changed` from `base` by effects, listed by joint, that leave the rigid-body torques as they are:
+        the chains of joints that have the same effects are not looked up."""
+        out: dict[int, np.ndarray] = {}
+        for j, (had, has) in enumerate(zip(before_of, after_of, strict=True)):
+            if [e.identity for e in had] == [e.identity for e in has]:
+                continue
+            before, after = self.chains.get(j, had), self.chains.get(j, has)
+            if before is after:
+                continue
+            for r, row in enumerate(self.rows):
+                if row.joint == j:
+                    load: np.ndarray | float = 0.0
+                    if row.balance == MOTOR and before.scale != after.scale:
+                        load = self._rigid[j] + self._rigid_change(base, self._all(base))[j]
+                    out[r] = self._row(row, after, load) - self._row(row, before, load)
+        return dict(sorted(out.items()))
+
     def time_series(self, spectrum: np.ndarray) -> np.ndarray:
         """(..., F) -> (..., N)."""
         return fft.irfft(spectrum, self.filter.size, axis=-1)[..., : self.filter.count]
@@ -110,6 +133,13 @@ class Balances:
 
     # ------------------------------------------------------------------ parts
     def _all(self, effects: Sequence[Planned]) -> list[Chain]:
+        return self._chains(self._of_joints(effects))
+
+    def _chains(self, lists: Sequence[Sequence[Planned]]) -> list[Chain]:
+        return [self.chains.get(i, own) for i, own in enumerate(lists)]
+
+    def _of_joints(self, effects: Sequence[Planned]) -> list[list[Planned]]:
+        """By joint, the effects on which its chain depends: its own, those of joints tied to it, bodies'."""
         own: dict[str | None, list[Planned]] = {joint.name: [] for joint in self.motion.robot.joints}
         bodies = [e for e in effects if e.effect.site is Site.BODY]
         for e in effects:
@@ -119,7 +149,7 @@ class Balances:
         mates = self.chains.ties.mates(effects)
         for i, joints in mates.items():
             lists[i] = [e for k in sorted(joints) for e in own[self.motion.robot.joints[k].name]]
-        return [self.chains.get(i, [*effects_of, *bodies]) for i, effects_of in enumerate(lists)]
+        return [[*effects_of, *bodies] for effects_of in lists]
 
     def _row(self, row: Row, chain: Chain, load: np.ndarray | float) -> np.ndarray:
         if row.balance == MOTOR:
@@ -201,6 +231,11 @@ def acts_within_a_joint(e: OnJoint) -> bool:
     by which bodies are moved, change those of others, and so does friction that acts on a neighbour, too."""
     within = e.effect.site not in (Site.BODY, Site.SENSOR) and not e.effect.reaches_before
     return e.joint is not None and within
+
+
+def _moving_links(effects: Sequence[Planned]) -> list[object]:
+    """What of a set may change the rigid-body torques: bodies, and sensors, which may correct an angle."""
+    return [e.identity for e in effects if e.effect.site in (Site.BODY, Site.SENSOR)]
 
 
 def _rows(motion: Motion) -> list[Row]:

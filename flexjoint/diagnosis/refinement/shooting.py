@@ -37,7 +37,7 @@ SIDE_MEMORY = 4e7  # bytes of derivatives that they may have together
 ALL_MEASURED = 0.99  # of an interpolated flag: 1 where both neighbours were, rounding aside
 ROUNDING = 1e-6  # steps
 PASSES = 3  # linearisations to be expected
-MOST_WORK = 4e7  # entries of sensitivities times steps: some seconds; windows are left out beyond it
+MOST_WORK = 1e7  # entries of sensitivities times steps: ten seconds; windows are left out beyond it
 
 
 @dataclass(frozen=True)

@@ -66,18 +66,18 @@ def on_background(
 ) -> float:
     """Probability that a name is right on a machine that also has a background: many small errors that nobody
     names. It grows with the torque that the cause removes over what a background is at most: the usual one,
-    or what is left of the joint's torque where that is less. It is lower where more is left than a usual
-    background and the sensors' noise, where a smooth law of one signal would remove much of that, and where
-    many causes are needed on one joint: `beside` counts the convincing ones there, this one included.
-    Ordinary friction every machine has: whatever else is left, or acts beside it, says nothing against it,
-    and a shape that is left is held against all friction of its joint, which removes `friction` [N m]
-    together."""
+    or what is left of the joint's torque where that is less, down to the least one. It is lower where more is
+    left than a usual background and the sensors' noise, where a smooth law of one signal would remove much of
+    that, and where many causes are needed on one joint: `beside` counts the convincing ones there, this one
+    included. Ordinary friction every machine has: whatever else is left, or acts beside it, says nothing
+    against it, and a shape that is left is held against all friction of its joint, which removes `friction`
+    [N m] together."""
     own = next((j for j in joints if j.joint == removed.joint), None)
     if own is None or own.torque <= 0.0:
         return 0.0
     size = float(np.sqrt(max(removed.without**2 - removed.left**2, 1e-300)))
     usual = settings.background_typical * own.torque
-    background = max(min(usual, own.after), 1e-9 * usual)  # a recording without noise leaves rounding
+    background = max(min(usual, own.after), settings.background_least * own.torque)
     beyond_noise = float(np.sqrt(max(0.0, own.after**2 - own.noise**2)))
     odds = settings.background_size * float(np.log10(size / (settings.background_even * background)))
     shaped = settings.background_shaped * max(size, friction or 0.0)
@@ -86,6 +86,12 @@ def on_background(
         odds -= settings.background_more * _decades(beyond_noise / usual)
         odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
+
+
+def on_some_machine(clean: float, dirty: float, settings: VerdictSettings) -> float:
+    """Probability that a name is right, from that on a machine without other small errors and on one that has
+    them: most that leave nothing but noise have none."""
+    return max(dirty, clean + settings.background_share * (dirty - clean))
 
 
 def by_simulation(

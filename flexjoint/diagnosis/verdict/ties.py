@@ -16,8 +16,9 @@ from flexjoint.effects import Kind, Planned
 def ties(
     best: Fit, planned: Planned, rivals: Sequence[Fit], explained: float | None = None
 ) -> tuple[Tie, ...]:
-    """Rivals that fit as well. One that contains the found effect as a special case is no rival of it.
-    `explained` is the energy that the effect explains; by default that in this recording."""
+    """Rivals that fit as well. One that contains the found effect as a special case is a rival only where its
+    further numbers explain more than chance does, and less than would name it. `explained` is the energy that
+    the effect explains; by default that in this recording."""
     limits = best.settings.verdict
     out: list[Tie] = []
     if not rivals:
@@ -34,13 +35,24 @@ def ties(
             + best.settings.search.unexplained_share * unexplained_energy(best)
         )
         behind = score(rival) - score(best)
-        if planned.effect.name in other.effect.contains or len(out) >= limits.most_ties:
+        wider = planned.effect.name in other.effect.contains
+        hinted = best.energy - rival.energy > limits.sure**2
+        if (wider and not hinted) or len(out) >= limits.most_ties:
             continue
         why = ""
         # a load along shifted angles is known to first order in the shift
         errors = best.settings.search
         share = errors.method_error if all(delays) else errors.finer_method_error
         little = rival.energy - best.energy < share * explained
+        if wider and behind <= margin:
+            better = best.energy - rival.energy
+            text = (
+                f"contains it as a special case and fits a little better (by {better:.1f} in chi-square): the"
+                " data do not tell whether its further numbers are needed"
+            )
+            out.append(Tie(other.effect.name, other.joint, text))
+        if wider:
+            continue
         if behind <= margin:
             why = (
                 f"fits these data as well (its score differs by {behind:+.1f}; up to {margin:.0f} is chance)"
