@@ -56,6 +56,20 @@ def test_init_with_a_recording_holds_what_it_does_not_have(
     assert robot.load("robot.yaml").joint_names == JOINTS
 
 
+def test_init_names_an_error_of_the_data_and_how_to_repair_it(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The motor's encoder of the elbow counts against its link's; the shoulder's is right."""
+    sides = {(side, name): M.q[:, k] for k, name in enumerate(JOINTS) for side in ("q", "theta")}
+    table.write(table.make(M.time, {**sides, ("theta", "elbow"): -M.q[:, 1]}), folder / "turned.csv")
+    assert run("init", "arm2.urdf", "--recording", "turned.csv") == 0
+    printed = capsys.readouterr().out
+    assert "the motor encoder of elbow has the wrong sign" in printed and "of shoulder has" not in printed
+    assert "Repair: theta.elbow = -1 * theta.elbow" in printed
+    assert "next: flexjoint check-data turned.csv --robot robot.yaml --out repaired.parquet" in printed
+    assert run("check-data", "turned.csv", "--robot", "robot.yaml", "--out", "repaired.parquet") == 0
+
+
 def test_init_takes_another_programs_log(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("init", "arm2.urdf", "--recording", "log.csv", "--mapping", "map.yaml") == 0
     assert "--mapping map.yaml --report" in capsys.readouterr().out
