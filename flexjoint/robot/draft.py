@@ -23,7 +23,7 @@ from flexjoint.robot import ready_made, schema
 from flexjoint.robot.numbers import floats
 from flexjoint.robot.reading import mjcf_drives, xml_file
 from flexjoint.robot.reading.mjcf_drives import Drives
-from flexjoint.robot.robot import Robot, build
+from flexjoint.robot.robot import Robot, build, shipped_robots
 
 CHECK = "CHECK"  # what a comment begins with where the description does not know a number
 SLOWEST = 1000.0  # Hz, of the physics and the controller, where nothing is known
@@ -91,6 +91,10 @@ def draft(source: str, out: Path, seen: Seen | None = None, springs: bool = True
     if ready_made.is_name(source) and not Path(source).exists():
         source = f"{ready_made.SCHEME}{source}"
     if not robot_description.is_one(source):
+        if (shipped := shipped_robots().get(source)) is not None:
+            raise RobotError(
+                f"{source} is a shipped robot, whose file is written: say --robot {source}, or copy {shipped}"
+            )
         raise RobotError(
             f"{source}: expected a URDF, MJCF or SDF ({', '.join(robot_description.SUFFIXES)}),"
             f" package://..., or a"

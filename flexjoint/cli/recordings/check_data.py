@@ -9,6 +9,7 @@ from rich.console import Console
 from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import RecordingError
+from flexjoint.core.messages import escaped
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.recording.checks import check
 from flexjoint.recording.importing import read
@@ -35,9 +36,8 @@ def run(arguments: argparse.Namespace) -> None:
     left = [f for f in found.findings if arguments.out is None or not f.columns]
     if arguments.out is not None:
         done = len(found.findings) - len(left)
-        console.print(
-            f"wrote {arguments.out}; errors repaired: {done}", markup=False, highlight=False, soft_wrap=True
-        )
+        told = f"wrote {escaped(str(arguments.out))}; errors repaired: {done}"
+        console.print(told, markup=False, highlight=False, soft_wrap=True)
     if left:
         how = "with --out REC.parquet" if left[0].columns else "in the robot file"
         raise RecordingError(

@@ -10,6 +10,7 @@ from flexjoint.cli import options
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.files import write_text
+from flexjoint.core.messages import escaped
 from flexjoint.core.text import plain
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.result.sentences import data_lines
@@ -42,14 +43,14 @@ def run(arguments: argparse.Namespace) -> None:
     write_text(out, made.text)
     for line in (account, *wrong, *made.notes):
         if line:
-            print(line)
+            print(escaped(line, "\n"))
     kind = "rigid" if all(joint.rigid for joint in made.robot.joints) else "flexible"
     marks = made.text.count("CHECK") - 1
     print(
-        f"wrote {out}: {kind} joints, tolerances by default; {marks} lines marked CHECK say where numbers"
-        f" are found"
+        f"wrote {escaped(str(out))}: {kind} joints, tolerances by default; {marks} lines marked CHECK say"
+        f" where numbers are found"
     )
-    print(f"next: {_next(arguments, out, bool(wrong))}")
+    print(escaped(f"next: {_next(arguments, out, bool(wrong))}"))
 
 
 def _wrong(robot: Robot, recording: Recording) -> tuple[str, ...]:

@@ -87,7 +87,8 @@ def test_init_takes_another_programs_log(folder: Path, capsys: pytest.CaptureFix
         (("arm2.urdf", "--recording", "log.csv"), "log.csv"),
         (("arm2.urdf", "--recording", "hip.csv"), "unknown joint 'hip'; valid: elbow, shoulder, wrist"),
         (("arm2.urdf", "--recording", "deg.csv"), "it looks like degrees"),
-        (("kr300",), "expected a URDF, MJCF or SDF"),
+        (("kr300",), "kr300 is a shipped robot, whose file is written: say --robot kr300"),
+        (("kr301",), "expected a URDF, MJCF or SDF"),
         (("arm2.urdf", "--gear", "x"), "expected numbers between commas, got 'x'"),
     ],
 )
@@ -110,6 +111,19 @@ def test_import_tells_what_it_understood_and_writes(folder: Path, capsys: pytest
     assert "no joint beyond 0.9, so within one turn: --degrees if not" in printed
     assert "next: flexjoint diagnose out.parquet --robot robot.yaml" in printed
     assert_is(table.read("out.parquet"), "q", M.q)
+
+
+def test_what_is_written_is_named_without_what_a_terminal_obeys(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    red = "\x1b[31m"
+    (folder / f"{red}log.csv").write_text((folder / "own.csv").read_text())
+    assert run("init", "arm2.urdf", "--recording", f"{red}log.csv", "--out", f"{red}r.yaml") == 0
+    assert run("import", f"{red}log.csv", "--to", f"{red}t.csv") == 0
+    assert run("import", f"{red}log.csv", "--signals") == 0
+    assert run("check-data", f"{red}log.csv", "--robot", f"{red}r.yaml", "--out", f"{red}c.csv") == 0
+    said = capsys.readouterr()
+    assert "\x1b" not in said.out + said.err and "wrote \\x1b[31mr.yaml" in said.out
 
 
 def test_import_lists_signals(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
