@@ -39,7 +39,11 @@ def run(arguments: argparse.Namespace) -> None:
         told = f"wrote {escaped(str(arguments.out))}; errors repaired: {done}"
         console.print(told, markup=False, highlight=False, soft_wrap=True)
     if left:
-        how = "with --out REC.parquet" if left[0].columns else "in the robot file"
+        how = "in the robot file"
+        if left[0].columns:
+            how = "with --out REC.parquet"
+        elif left[0].command:
+            how = f"with {left[0].command}"
         raise RecordingError(
             f"{arguments.recording}: errors of the data: {len(left)}; the first: {left[0].text}; repair"
             f" it {how}"

@@ -19,7 +19,7 @@ from flexjoint.core.files import check_suffix, write_json
 from flexjoint.core.text import Block, Line, as_html, plain
 from flexjoint.diagnosis.data import bodies, columns
 from flexjoint.diagnosis.data.change import Change
-from flexjoint.diagnosis.data.motion import encoders, velocities
+from flexjoint.diagnosis.data.motion import encoders, stamps, velocities
 from flexjoint.diagnosis.data.sentences import evidence, said
 from flexjoint.diagnosis.data.torques.errors import turned, unit, zero
 from flexjoint.diagnosis.data.torques.follows import Balance
@@ -91,6 +91,8 @@ def check_data(robot: Robot, recording: Recording, *, settings: DataSettings = U
     """
     robot = robots.expect(robot, "check_data")
     recording = with_torques(robot, tables.expect(recording, "check_data"))
+    if arrived := tuple(stamps.of_arrival(recording, settings)):  # nothing else can be told from wrong times
+        return DataCheck(robot.name, recording, arrived)
     now = without_pauses(recording)
     direct = list(encoders.differences(robot, now, settings))
     now = columns.repaired(now, direct)
