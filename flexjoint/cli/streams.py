@@ -9,7 +9,9 @@ import threading
 import warnings
 from collections.abc import Iterator
 
-from flexjoint.core.messages import one_line
+from flexjoint.core.messages import LONGEST_LINE, one_line
+
+WHO = "flexjoint: "  # in front of each line
 
 _ended = threading.Lock()  # held when the interrupt of this run was told
 
@@ -17,7 +19,7 @@ _ended = threading.Lock()  # held when the interrupt of this run was told
 def say(message: object) -> None:
     """One line on standard error, as far as there is one."""
     with contextlib.suppress(OSError, ValueError):
-        print(f"flexjoint: {one_line(message)}", file=sys.stderr, flush=True)
+        print(f"{WHO}{one_line(message, LONGEST_LINE - len(WHO))}", file=sys.stderr, flush=True)
 
 
 def say_interrupted() -> None:

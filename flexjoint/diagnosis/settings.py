@@ -131,6 +131,12 @@ class DataSettings(Stage):
     deflected: float = number(
         0.5, "rad", "by which a motor's travel must exceed its link's to be no deflection", "judgement"
     )
+    late_rows: float = number(
+        0.05,
+        "share of the rows",
+        "off an even clock by more than jitter, up to which stamps are a logger's hiccups, not of arrival",
+        "judgement",
+    )
     rates_alike: float = number(
         0.9, "correlation", "from which a velocity and a position show the same motion", "judgement"
     )

@@ -54,7 +54,8 @@ def without_pauses(recording: Recording) -> Recording:
         raise refusal(
             recording.name,
             f"{time.size} samples, most of them {period:.3g} s apart, lie in {recording.duration:.4g} s with"
-            " gaps between nearly all; record on an even clock, or cut the recording at its pauses",
+            " gaps between nearly all, as stamps of arrival in bursts; log when each sample was taken, import"
+            " the log with a mapping that says its rate, or cut it at its pauses",
         )
     return recording
 
@@ -71,16 +72,22 @@ def on_regular_clock(recording: Recording) -> Recording:
     ticks = _ticks(recording.time)
     if ticks is None:
         return recording
+    if not taken_at(recording, ticks):
+        return recording
+    # a stamp can be late but not early: the earliest ones are the clock's
+    return replace(recording, time=ticks + float(np.min(recording.time - ticks)))
+
+
+def taken_at(recording: Recording, ticks: np.ndarray) -> bool:
+    """Whether the samples were taken at ticks (N,) [s] rather than at their stamps: the positions show less
+    than half of what the lateness of the stamps would make of them. False where they do not tell."""
     late = recording.time - ticks
     shown, weight = 0.0, 0.0
     for (channel, _), values in recording.columns.items():
         if channel in POSITIONS:
             of_channel = _shown(ticks, late, values)
             shown, weight = shown + of_channel[0], weight + of_channel[1]
-    if weight == 0.0 or shown / weight + SURE / np.sqrt(weight) > 0.5:
-        return recording
-    # a stamp can be late but not early: the earliest ones are the clock's
-    return replace(recording, time=ticks + float(np.min(late)))
+    return weight > 0.0 and bool(shown / weight + SURE / np.sqrt(weight) <= 0.5)
 
 
 def _ticks(time: np.ndarray) -> np.ndarray | None:

@@ -21,9 +21,9 @@ from flexjoint.core.units import of_joint
 from flexjoint.robot import description as robot_description
 from flexjoint.robot import ready_made, schema
 from flexjoint.robot.numbers import floats
-from flexjoint.robot.reading import mjcf_drives, xml_file
+from flexjoint.robot.reading import mjcf_drives, mjcf_limits, xml_file
 from flexjoint.robot.reading.mjcf_drives import Drives
-from flexjoint.robot.robot import Robot, build
+from flexjoint.robot.robot import Robot, build, shipped_robots
 
 CHECK = "CHECK"  # what a comment begins with where the description does not know a number
 SLOWEST = 1000.0  # Hz, of the physics and the controller, where nothing is known
@@ -66,9 +66,16 @@ class _Joints:
     model: pin.Model
     actuated: list[str] = field(default_factory=list)
     locked: dict[str, str] = field(default_factory=dict)
+    efforts: Mapping[str, float] | None = None  # limits of an MJCF, by joint
+
+    def effort(self, joint: str) -> float:
+        """The limit of a joint's torque; 0 where none is stated."""
+        if self.efforts is None:
+            return self.number("effortLimit", joint)
+        return self.efforts.get(joint, 0.0)
 
     def number(self, key: str, joint: str) -> float:
-        """A number of a joint: effortLimit, damping, friction or armature; 0 where it is not stated."""
+        """A number of a joint by Pinocchio: effortLimit, damping, friction, armature; 0 where not stated."""
         value = float(getattr(self.model, key)[self.model.joints[self.model.getJointId(joint)].idx_v])
         return value if math.isfinite(value) and value < UNLIMITED else 0.0
 
@@ -91,6 +98,10 @@ def draft(source: str, out: Path, seen: Seen | None = None, springs: bool = True
     if ready_made.is_name(source) and not Path(source).exists():
         source = f"{ready_made.SCHEME}{source}"
     if not robot_description.is_one(source):
+        if (shipped := shipped_robots().get(source)) is not None:
+            raise RobotError(
+                f"{source} is a shipped robot, whose file is written: say --robot {source}, or copy {shipped}"
+            )
         raise RobotError(
             f"{source}: expected a URDF, MJCF or SDF ({', '.join(robot_description.SUFFIXES)}),"
             f" package://..., or a"
@@ -108,6 +119,9 @@ def draft(source: str, out: Path, seen: Seen | None = None, springs: bool = True
     model = robot_description.model(description, floating)
     drives = _drives(model, description)
     joints = _joints(model, description.text, seen, source, drives)
+    if description.kind == "mjcf":
+        root = xml_file.read(description.path)
+        joints.efforts = mjcf_limits.torque_limits(root, f"MJCF {description.path}")
     place = source if named else _relative(Path(source), out.parent)
     lines = _Lines(kind, name.removesuffix(ready_made.ENDING), place, floating, joints, seen, springs, drives)
     text = "\n".join(lines.all()) + "\n"
@@ -243,7 +257,7 @@ class _Lines:
         if self.drives is not None:
             yield from (f"{key}: {_exactly(value)}" for key, value in self.drives.joints[joint].items())
             return
-        effort, damping = self.joints.number("effortLimit", joint), self.joints.number("damping", joint)
+        effort, damping = self.joints.effort(joint), self.joints.number("damping", joint)
         channels = self.seen.channels.get(joint, ()) if self.seen is not None else ()
         if self.springs and "q" in channels and "theta" in channels:
             yield f"stiffness: .inf  # rigid; {CHECK}: both encoders are recorded, the gear's stiffness?"

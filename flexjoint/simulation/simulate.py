@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from flexjoint.core.errors import RecordingError, SimulationError
-from flexjoint.core.limits import SIMULATION
+from flexjoint.core.limits import RECORDING, SIMULATION
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.statics.equilibrium import equilibrium
 from flexjoint.model.statics.start import at_rest, initial_positions
@@ -24,6 +24,7 @@ from flexjoint.simulation.trajectory import Trajectory
 
 REFERENCES = ("q_ref", "theta_ref", "dtheta_ref", "tau_ff")
 TORQUES = ("tau_m", "tau_motor")
+SHOWN = ("q", "dq", "theta", "dtheta", "tau_t", "tau_m")  # of each joint in a result, beside the references
 ON_TICK = 0.05  # share of a tick by which samples may miss the tick grid
 
 
@@ -67,8 +68,8 @@ def simulate(
     Raises:
         RobotError: what is handed in first is neither.
         RecordingError: the reference lacks what the drive needs.
-        SimulationError: see `flexjoint.simulation.loop`, or a sample rate that does not divide the physics
-            rate.
+        SimulationError: see `flexjoint.simulation.loop`, a sample rate that does not divide the physics
+            rate, or a result that is larger than any recording (docs/reference/limits.md).
     """
     if not isinstance(model, FlexibleJointModel):
         model = FlexibleJointModel(expect(model, "simulate"))
@@ -77,6 +78,7 @@ def simulate(
     names = model.robot.joint_names
     check_size(model, reference, rate)
     controller = controlled(reference, names, drive)
+    _check_result(model, reference, rate / stride, controller)
     start = start or rest_of(model, reference, controller)
     if controller:
         ticks = ticks_of(reference, model.robot.rates.control)
@@ -99,6 +101,20 @@ def check_size(model: FlexibleJointModel, reference: Recording, rate: float) -> 
             f"{reference.name}: {reference.duration:.4g} s of {len(names)} joints at {rate:g} Hz are"
             f" {size:.2g} steps, at most {SIMULATION.joint_steps:g} are run; cut it at its pauses, or lower"
             " rates.physics"
+        )
+
+
+def _check_result(
+    model: FlexibleJointModel, reference: Recording, sample_rate: float, controller: bool
+) -> None:
+    """Raise SimulationError for a run whose result is larger than any recording, before it is made."""
+    columns = 1 + len(model.robot.joint_names) * (len(SHOWN) + (len(REFERENCES) if controller else 0))
+    rows = reference.duration * sample_rate
+    if rows * columns > RECORDING.cells:
+        raise SimulationError(
+            f"{reference.name}: {reference.duration:.4g} s at {sample_rate:g} Hz are {rows:.3g} rows of"
+            f" {columns} columns, at most {RECORDING.cells:g} cells are kept; give a lower sample_rate, cut"
+            " the reference, or run `flexjoint simulate`, which writes as it goes"
         )
 
 

@@ -19,7 +19,6 @@ from flexjoint.core.errors import FlexJointError
 from flexjoint.core.messages import LONGEST_LINE
 
 EXAMPLES = "FLEXJOINT_FUZZ"  # environment variable: examples of each test; `make fuzz` sets many
-PREFIX = len("flexjoint: warning: ")
 SLOWEST = 10.0  # seconds of any input
 NUMBERS = re.compile(rb"-?\d+\.?\d*([eE]-?\d+)?")
 TOKENS = tuple(
@@ -96,7 +95,7 @@ def command(out: Path, *words: object) -> int:
     refused = [line for line in lines if not line.startswith("flexjoint: warning: ")]
     assert code in (0, 2), code
     assert len(refused) == (1 if code == 2 else 0), lines
-    assert all(line.startswith("flexjoint: ") and len(line) <= LONGEST_LINE + PREFIX for line in lines)
+    assert all(line.startswith("flexjoint: ") and len(line) <= LONGEST_LINE for line in lines)
     assert all(line.isprintable() for line in [*lines, *said.getvalue().splitlines()])
     assert out.exists() == (code == 0)
     assert not list(out.parent.glob(f".{out.name}*"))  # no half of a file

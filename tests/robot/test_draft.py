@@ -226,3 +226,55 @@ def test_an_exported_mjcf_that_was_edited_is_refused_in_one_line(
     with pytest.raises(FlexJointError, match=said) as caught:
         draft(str(path), tmp_path / "arm2.yaml")
     assert "\n" not in str(caught.value)
+
+
+ARM3 = """<mujoco>
+  <default class="main">
+    <general forcerange="-12 12"/>
+    <default class="big">
+      <general forcerange="-87 87"/>
+      <joint actuatorfrcrange="-50 50"/>
+      <default class="geared"><motor ctrlrange="-1.5 1.5" gear="20"/></default>
+    </default>
+  </default>
+  <worldbody><body name="a" childclass="big"><joint name="one"/><geom size="0.1" mass="1"/>
+    <body name="b"><joint name="two" class="main"/><geom size="0.1" mass="1"/>
+      <body name="c"><joint name="three" class="main"/><geom size="0.1" mass="1"/>
+        <body name="d"><joint name="four" class="main"/><geom size="0.1" mass="1"/>
+  </body></body></body></body></worldbody>
+  <actuator>
+    <position joint="one" class="big" kp="100"/>
+    <motor joint="two" class="geared"/>
+    <position joint="three" kp="100"/>
+    <velocity joint="four" forcelimited="false"/>
+  </actuator>
+</mujoco>"""
+
+
+def test_an_mjcf_limits_its_joints_by_their_actuators_and_classes(tmp_path: Path) -> None:
+    """One: 87 of the actuator's class and 50 of the joint's. Two: 1.5 of control and 87 of force, times 20.
+    Three: 12 of the default of all actuators. Four: its limit is off."""
+    (tmp_path / "arm3.xml").write_text(ARM3)
+    made = draft(str(tmp_path / "arm3.xml"), tmp_path / "arm3.yaml")
+    limits = {joint.name: joint.torque_limit for joint in made.robot.joints}
+    assert limits == {"one": 50.0, "two": 30.0, "three": 12.0, "four": math.inf}
+    assert "no torque limit of four" in made.notes
+
+
+def test_the_limits_of_an_mjcf_are_those_that_mujoco_keeps(tmp_path: Path) -> None:
+    """Full commands at rest: the torque at each joint is the limit."""
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
+    (tmp_path / "arm3.xml").write_text(ARM3)
+    made = draft(str(tmp_path / "arm3.xml"), tmp_path / "arm3.yaml")
+    model = mujoco.MjModel.from_xml_string(ARM3)
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1e6
+    mujoco.mj_forward(model, data)
+    found = [joint.torque_limit for joint in made.robot.joints]
+    np.testing.assert_allclose(data.qfrc_actuator[:3], found[:3], rtol=1e-12)
+
+
+def test_a_limit_of_an_mjcf_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "arm3.xml").write_text(ARM3.replace('"-12 12"', '"-12 much"'))
+    with pytest.raises(RobotError, match="forcerange: expected a number with a decimal point, got 'much'"):
+        draft(str(tmp_path / "arm3.xml"), tmp_path / "arm3.yaml")

@@ -91,6 +91,7 @@ def test_a_urdf_that_lies_is_refused(
     ("old", "new", "said"),
     [
         *[(UPPER, f'<body name="upper" {key}="nope">', f"has {key} 'nope', which no <default> defines") for key in ("childclass", "class")],
+        (UPPER, '<body name="upper" childclass="main">', "has childclass 'main', which no <default> defines; name the first one main"),
         *[
             (END, f"<{tag}><body><inertial pos='0 0 0' mass='1'/></body></{tag}>{END}", f"<{tag}> is not read, and its bodies would be missing; save it whole")
             for tag in ("include", "replicate", "frame", "attach", "composite", "flexcomp")

@@ -298,3 +298,14 @@ def test_a_robot_is_simulated_as_its_model_is_and_what_is_neither_is_refused() -
     np.testing.assert_array_equal(of_robot.trajectory.q, of_model.trajectory.q)
     with pytest.raises(RobotError, match="simulate: expected a robot first"):
         simulate("arm.yaml", reference)  # type: ignore[arg-type]
+
+
+def test_a_result_beyond_the_largest_recording_is_refused_before_it_is_made() -> None:
+    """9e6 steps of one joint are within what is run, but their 11 columns are more than a recording has."""
+    robot = make(PENDULUM)
+    (name,) = robot.joint_names
+    seconds = 1.001e8 / 11.0 / physics_rate(robot)
+    time = np.arange(0.0, seconds, 0.25)
+    reference = table(time, {("q_ref", name): np.sin(time)})
+    with pytest.raises(SimulationError, match=r"rows of 11 columns, at most 1e\+08 cells are kept"):
+        simulate(robot, reference)

@@ -9,6 +9,7 @@ from rich.console import Console
 from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import RecordingError
+from flexjoint.core.messages import escaped
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.recording.checks import check
 from flexjoint.recording.importing import read
@@ -35,11 +36,14 @@ def run(arguments: argparse.Namespace) -> None:
     left = [f for f in found.findings if arguments.out is None or not f.columns]
     if arguments.out is not None:
         done = len(found.findings) - len(left)
-        console.print(
-            f"wrote {arguments.out}; errors repaired: {done}", markup=False, highlight=False, soft_wrap=True
-        )
+        told = f"wrote {escaped(str(arguments.out))}; errors repaired: {done}"
+        console.print(told, markup=False, highlight=False, soft_wrap=True)
     if left:
-        how = "with --out REC.parquet" if left[0].columns else "in the robot file"
+        how = "in the robot file"
+        if left[0].columns:
+            how = "with --out REC.parquet"
+        elif left[0].command:
+            how = f"with {left[0].command}"
         raise RecordingError(
             f"{arguments.recording}: errors of the data: {len(left)}; the first: {left[0].text}; repair"
             f" it {how}"

@@ -7,6 +7,7 @@ import argparse
 from flexjoint.cli import options
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.messages import escaped
 from flexjoint.recording.checks import check
 from flexjoint.recording.importing import import_log, open_log
 from flexjoint.recording.logs.mapping import EMPTY
@@ -31,18 +32,18 @@ def run(arguments: argparse.Namespace) -> None:
         imported = import_log(arguments.log, mapping, robot, progress=bar)
         if robot is not None:
             check(robot, imported.recording)
-    print(imported)
+    print(escaped(str(imported), "\n"))
     imported.recording.write(arguments.to)
-    print(f"wrote {arguments.to}")
+    print(escaped(f"wrote {arguments.to}"))
     named = arguments.robot if arguments.robot is not None else "robot.yaml"
-    print(f"next: flexjoint diagnose {arguments.to} --robot {named} --report report.html")
+    print(escaped(f"next: flexjoint diagnose {arguments.to} --robot {named} --report report.html"))
 
 
 def _print_signals(arguments: argparse.Namespace) -> None:
     """What a log holds, to write a mapping by."""
     with Progress() as bar:
         log = open_log(arguments.log, arguments.episode, bar)
-    print(f"{log.source}: {log.format}")
+    print(escaped(f"{log.source}: {log.format}"))
     for name, signal in log.signals.items():
         count, width = signal.values.shape
         known = log.documented.get(name)
@@ -50,4 +51,4 @@ def _print_signals(arguments: argparse.Namespace) -> None:
         joints = f" ({', '.join(map(shown, signal.joints))})" if signal.joints else ""
         print(f"    {shown(name)}: {count} samples of {width}{joints}{said}")
     for note in log.notes:
-        print(note)
+        print(escaped(note))

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from flexjoint.cli import options
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.files import write_text
+from flexjoint.core.messages import escaped
 from flexjoint.core.text import plain
+from flexjoint.diagnosis.data.check import check_data
+from flexjoint.diagnosis.result.sentences import data_lines
 from flexjoint.recording.checks import check, check_joints
 from flexjoint.recording.importing import read
 from flexjoint.recording.table import Recording
 from flexjoint.robot.draft import Seen, draft
+from flexjoint.robot.robot import Robot
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -27,23 +32,32 @@ def run(arguments: argparse.Namespace) -> None:
         )
     made = draft(arguments.description, out, springs=not arguments.rigid)
     account = ""
+    wrong: tuple[str, ...] = ()
     if arguments.recording is not None:
         imported = read(arguments.recording, options.mapping_of(arguments), made.robot)
         check_joints(made.robot, imported.recording)
         made = draft(arguments.description, out, _seen(imported.recording), springs=not arguments.rigid)
         check(made.robot, imported.recording)
+        wrong = _wrong(made.robot, imported.recording)
         account = plain(imported.account) if imported.account else _short(imported.recording)
     write_text(out, made.text)
-    for line in (account, *made.notes):
+    for line in (account, *wrong, *made.notes):
         if line:
-            print(line)
+            print(escaped(line, "\n"))
     kind = "rigid" if all(joint.rigid for joint in made.robot.joints) else "flexible"
     marks = made.text.count("CHECK") - 1
     print(
-        f"wrote {out}: {kind} joints, tolerances by default; {marks} lines marked CHECK say where numbers"
-        f" are found"
+        f"wrote {escaped(str(out))}: {kind} joints, tolerances by default; {marks} lines marked CHECK say"
+        f" where numbers are found"
     )
-    print(f"next: {_next(arguments, out)}")
+    print(escaped(f"next: {_next(arguments, out, bool(wrong))}"))
+
+
+def _wrong(robot: Robot, recording: Recording) -> tuple[str, ...]:
+    """Errors of the data, with their repairs. Currents are left out: no constants of them are stated yet."""
+    columns = {key: values for key, values in recording.columns.items() if key[0] != "current"}
+    found = check_data(robot, replace(recording, columns=columns)).findings
+    return data_lines([replace(finding, command="") for finding in found])
 
 
 def _seen(recording: Recording) -> Seen:
@@ -63,7 +77,7 @@ def _short(recording: Recording) -> str:
     return "\n".join(lines)
 
 
-def _next(arguments: argparse.Namespace, out: Path) -> str:
+def _next(arguments: argparse.Namespace, out: Path, wrong: bool) -> str:
     if arguments.recording is None:
         return f"flexjoint import LOG --robot {out} --to table.parquet"
     stated = any(
@@ -75,4 +89,7 @@ def _next(arguments: argparse.Namespace, out: Path) -> str:
             f"flexjoint import {arguments.recording} --robot {out} --to table.parquet, with the same options"
         )
     mapping = f" --mapping {arguments.mapping}" if arguments.mapping is not None else ""
-    return f"flexjoint diagnose {arguments.recording} --robot {out}{mapping} --report report.html"
+    given = f"{arguments.recording} --robot {out}{mapping}"
+    if wrong:
+        return f"flexjoint check-data {given} --out repaired.parquet"
+    return f"flexjoint diagnose {given} --report report.html"

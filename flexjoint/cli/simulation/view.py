@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.images is not None:
         with Progress() as bar:
             made = page.write_images(arguments.images, size, progress=bar)
-        print(f"wrote {len(made)} images: {escaped(str(made[0]))} to {made[-1].name}")
+        print(f"wrote {len(made)} images: {escaped(str(made[0]))} to {escaped(made[-1].name)}")
     if arguments.video is not None:
         with Progress() as bar:
             video = page.write_video(arguments.video, size, progress=bar)

@@ -19,7 +19,7 @@ from flexjoint.core.files import check_suffix, write_json
 from flexjoint.core.text import Block, Line, as_html, plain
 from flexjoint.diagnosis.data import bodies, columns
 from flexjoint.diagnosis.data.change import Change
-from flexjoint.diagnosis.data.motion import encoders, velocities
+from flexjoint.diagnosis.data.motion import encoders, stamps, velocities
 from flexjoint.diagnosis.data.sentences import evidence, said
 from flexjoint.diagnosis.data.torques.errors import turned, unit, zero
 from flexjoint.diagnosis.data.torques.follows import Balance
@@ -27,6 +27,7 @@ from flexjoint.diagnosis.data.torques.sampled import sampled
 from flexjoint.diagnosis.data.torques.search import Found, found_errors
 from flexjoint.diagnosis.result.sentences import data_lines
 from flexjoint.diagnosis.result.values import DataFinding, data_to_json
+from flexjoint.diagnosis.result.wording import clean
 from flexjoint.diagnosis.settings import USUAL, DataSettings
 from flexjoint.recording import table as tables
 from flexjoint.recording.clock import without_pauses
@@ -52,9 +53,9 @@ class DataCheck:
     def summary(self) -> tuple[Block, ...]:
         """The findings with their repairs, as blocks of text."""
         if not self.findings:
-            head = f"{self.recording.name} against {self.robot}: no error of the data found"
+            head = f"{clean(self.recording.name)} against {clean(self.robot)}: no error of the data found"
             return (Line(head, whole=True),)
-        head = f"{self.recording.name} against {self.robot}: the data cannot be right"
+        head = f"{clean(self.recording.name)} against {clean(self.robot)}: the data cannot be right"
         return (
             Line(head, "bold", whole=True),
             *(Line(text, whole=True) for text in data_lines(self.findings)),
@@ -90,6 +91,8 @@ def check_data(robot: Robot, recording: Recording, *, settings: DataSettings = U
     """
     robot = robots.expect(robot, "check_data")
     recording = with_torques(robot, tables.expect(recording, "check_data"))
+    if arrived := tuple(stamps.of_arrival(recording, settings)):  # nothing else can be told from wrong times
+        return DataCheck(robot.name, recording, arrived)
     now = without_pauses(recording)
     direct = list(encoders.differences(robot, now, settings))
     now = columns.repaired(now, direct)

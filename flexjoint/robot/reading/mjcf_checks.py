@@ -102,14 +102,19 @@ def _check_names(found: Sequence[Element], where: str) -> None:
 
 
 def _check_classes(root: Element, where: str) -> None:
-    defined = {"main", *(default.get("class", "") for default in root.iter("default"))}
+    defined = {default.get("class", "") for default in root.iter("default")}
     for element in root.iter():
         for key in ("class", "childclass"):
             name = element.get(key)
             if name is not None and name not in defined and element.tag != "default":
+                how = (
+                    "name the first one main, or leave it out"
+                    if name == "main"
+                    else "define it, or leave it out"
+                )
                 raise RobotError(
                     f"{where}: <{shown(element.tag)}> has {key} '{shown(name)}', which no <default> defines;"
-                    " define it, or leave it out"
+                    f" {how}, or leave it out"
                 )
 
 

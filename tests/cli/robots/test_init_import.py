@@ -56,6 +56,20 @@ def test_init_with_a_recording_holds_what_it_does_not_have(
     assert robot.load("robot.yaml").joint_names == JOINTS
 
 
+def test_init_names_an_error_of_the_data_and_how_to_repair_it(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The motor's encoder of the elbow counts against its link's; the shoulder's is right."""
+    sides = {(side, name): M.q[:, k] for k, name in enumerate(JOINTS) for side in ("q", "theta")}
+    table.write(table.make(M.time, {**sides, ("theta", "elbow"): -M.q[:, 1]}), folder / "turned.csv")
+    assert run("init", "arm2.urdf", "--recording", "turned.csv") == 0
+    printed = capsys.readouterr().out
+    assert "the motor encoder of elbow has the wrong sign" in printed and "of shoulder has" not in printed
+    assert "Repair: theta.elbow = -1 * theta.elbow" in printed
+    assert "next: flexjoint check-data turned.csv --robot robot.yaml --out repaired.parquet" in printed
+    assert run("check-data", "turned.csv", "--robot", "robot.yaml", "--out", "repaired.parquet") == 0
+
+
 def test_init_takes_another_programs_log(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("init", "arm2.urdf", "--recording", "log.csv", "--mapping", "map.yaml") == 0
     assert "--mapping map.yaml --report" in capsys.readouterr().out
@@ -73,7 +87,8 @@ def test_init_takes_another_programs_log(folder: Path, capsys: pytest.CaptureFix
         (("arm2.urdf", "--recording", "log.csv"), "log.csv"),
         (("arm2.urdf", "--recording", "hip.csv"), "unknown joint 'hip'; valid: elbow, shoulder, wrist"),
         (("arm2.urdf", "--recording", "deg.csv"), "it looks like degrees"),
-        (("kr300",), "expected a URDF, MJCF or SDF"),
+        (("kr300",), "kr300 is a shipped robot, whose file is written: say --robot kr300"),
+        (("kr301",), "expected a URDF, MJCF or SDF"),
         (("arm2.urdf", "--gear", "x"), "expected numbers between commas, got 'x'"),
     ],
 )
@@ -96,6 +111,19 @@ def test_import_tells_what_it_understood_and_writes(folder: Path, capsys: pytest
     assert "no joint beyond 0.9, so within one turn: --degrees if not" in printed
     assert "next: flexjoint diagnose out.parquet --robot robot.yaml" in printed
     assert_is(table.read("out.parquet"), "q", M.q)
+
+
+def test_what_is_written_is_named_without_what_a_terminal_obeys(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    red = "\x1b[31m"
+    (folder / f"{red}log.csv").write_text((folder / "own.csv").read_text())
+    assert run("init", "arm2.urdf", "--recording", f"{red}log.csv", "--out", f"{red}r.yaml") == 0
+    assert run("import", f"{red}log.csv", "--to", f"{red}t.csv") == 0
+    assert run("import", f"{red}log.csv", "--signals") == 0
+    assert run("check-data", f"{red}log.csv", "--robot", f"{red}r.yaml", "--out", f"{red}c.csv") == 0
+    said = capsys.readouterr()
+    assert "\x1b" not in said.out + said.err and "wrote \\x1b[31mr.yaml" in said.out
 
 
 def test_import_lists_signals(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import pytest
 from support.robots.ur5_logs import ELBOW, LIFT, NAMES, PAN, log, ur5
 
 from flexjoint.diagnosis.data.change import Change, Source, View
+from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.data.columns import repaired
 from flexjoint.diagnosis.data.torques.follows import Balance
 from flexjoint.diagnosis.data.torques.rivals import explained_otherwise, reach
@@ -14,7 +15,7 @@ from flexjoint.diagnosis.data.torques.sampled import sampled
 from flexjoint.diagnosis.data.travel import slope
 from flexjoint.diagnosis.result import Column, DataFinding
 from flexjoint.diagnosis.settings import USUAL
-from flexjoint.recording.table import make
+from flexjoint.recording.table import Recording, make
 
 LIMITS = USUAL.data
 
@@ -94,3 +95,42 @@ def test_a_slope_is_told_whatever_the_offset_and_the_noise(factor: float) -> Non
     found = slope(table, ELBOW, "theta", "q")
     assert found is not None and found.slope == pytest.approx(factor, rel=1e-3)
     assert abs(found.alike) > 0.999
+
+
+# --- stamps of arrival --------------------------------------------------------------------------------------
+def delayed(recording: Recording, delay: np.ndarray, sampled_late: bool = False) -> Recording:
+    """The recording with stamps as rows came, one after the other; `sampled_late`: sampled when they say."""
+    arrived = np.maximum.accumulate(recording.time + delay) + 1e-6 * np.arange(delay.size)
+    columns = recording.columns
+    if sampled_late:
+        columns = {key: np.interp(arrived, recording.time, values) for key, values in columns.items()}
+    return make(arrived, columns, "late.csv")
+
+
+def test_stamps_of_arrival_are_named_with_the_rate_of_the_samples() -> None:
+    recording = log()
+    period = float(np.median(np.diff(recording.time)))
+    rng = np.random.default_rng(3)
+    delay = rng.exponential(period, recording.time.size)
+    (found,) = check_data(ur5(), delayed(recording, delay)).findings
+    assert found.error == "stamps_of_arrival" and f"even clock of {1.0 / period:.4g} Hz" in found.text
+    assert f"rate: {1.0 / period:.4g}" in found.robot_file
+    assert found.command == "flexjoint import late.csv --mapping map.yaml --to even.parquet"
+
+
+def test_stamps_that_tell_when_rows_were_sampled_or_that_hiccup_once_are_left_alone() -> None:
+    recording = log()
+    period = float(np.median(np.diff(recording.time)))
+    rng = np.random.default_rng(3)
+    delay = rng.exponential(period, recording.time.size)
+    hiccup = np.where(np.arange(delay.size) == delay.size // 2, 20.0 * period, 0.0)
+    jitter = 0.3 * period * rng.random(delay.size)
+    lost = delay.copy()
+    lost[delay.size // 2 :] += 5.0 * period  # as where five rows are missing: no one even clock
+    for late in (
+        delayed(recording, delay, sampled_late=True),
+        delayed(recording, hiccup),
+        delayed(recording, jitter),
+        delayed(recording, lost),
+    ):
+        assert check_data(ur5(), late).findings == ()

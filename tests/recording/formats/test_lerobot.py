@@ -1,4 +1,4 @@
-"""LeRobot datasets, after the layout that info.json documents, in Parquet as the library writes it."""
+"""LeRobot datasets: two that lerobot itself wrote, and small ones after the layout of info.json."""
 
 from __future__ import annotations
 
@@ -19,6 +19,33 @@ from flexjoint.recording.logs import mapping
 
 M = motion(3.0, 60.0)
 DEGREES = mapping.parse({"angles": "deg", "episode": 1})
+WRITTEN = Path(__file__).parent / "written"
+ARM = ("shoulder_pan", "shoulder_lift", "elbow_flex")
+
+
+def test_datasets_that_lerobot_itself_wrote() -> None:
+    """written/README.md says what was put in, as float32: 40 deg are kept to 4e-6 deg."""
+    for folder in ("lerobot_v2.1", "lerobot_v3.0"):
+        for episode, frames in enumerate((60, 80)):
+            got = import_log(WRITTEN / folder, mapping.parse({"angles": "deg", "episode": episode}))
+            recording = got.recording
+            assert recording.joints == ARM and recording.period == pytest.approx(0.02)
+            assert recording.time == pytest.approx(np.arange(frames) / 50, abs=1e-12)
+            for j, joint in enumerate(ARM):
+                sent = 40.0 * np.sin((2.0 + j) * recording.time + j + episode)
+                assert recording.get("q", joint) == pytest.approx(np.radians(sent), abs=1e-7)
+                assert recording.get("q_ref", joint) == pytest.approx(np.radians(sent + 1.0), abs=1e-7)
+        with pytest.raises(RecordingError, match="has 2 episodes; choose one with --episode NUMBER"):
+            import_log(WRITTEN / folder)
+        with pytest.raises(RecordingError, match=r"q \(observation.state\) reaches 40: degrees, or radians"):
+            import_log(WRITTEN / folder, mapping.parse({"episode": 0}))
+
+
+def test_one_episode_of_lerobot_by_its_own_file() -> None:
+    path = WRITTEN / "lerobot_v2.1" / "data" / "chunk-000" / "episode_000001.parquet"
+    recording = read(path, mapping.parse({"angles": "deg"})).recording
+    sent = 40.0 * np.sin(4.0 * recording.time + 3.0)
+    assert recording.get("q", "elbow_flex") == pytest.approx(np.radians(sent), abs=1e-7)
 
 
 def dataset(folder: Path, version: int, names: Any) -> Path:

@@ -117,23 +117,27 @@ def test_a_file_that_ur_rtde_itself_wrote() -> None:
 
 
 # --- libfranka ----------------------------------------------------------------------------------------------
-def test_libfranka_by_its_documented_columns(tmp_path: Path) -> None:
-    """Written after the layout of logToCSV (src/logging/robot_state_log.cpp), which takes a robot to run."""
-    rng = np.random.default_rng(2)
-    time = np.arange(500)
-    columns = {"time": time.astype(float), "success_rate": np.ones(500)}
-    names = ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")
-    values = {name: np.cumsum(rng.normal(0.0, 1e-3, (500, 7)), axis=0) for name in names}
-    values["dq"] = np.gradient(values["q"], 1e-3, axis=0)
-    columns |= {f"state.{name}[{k}]": values[name][:, k] for name in names for k in range(7)}
-    columns |= {f"cmd.tau_J_d[{k}]": np.zeros(500) for k in range(7)}
-    path = write_csv(tmp_path / "franka.csv", columns)
+def test_a_file_that_libfranka_itself_wrote() -> None:
+    """written/README.md says what was put in; six digits are written, of torques up to 16 N m."""
+    path = Path(__file__).parent / "written" / "libfranka.csv"
     joints = [f"fr3_joint{k}" for k in range(1, 8)]
     got = import_log(path, mapping.parse({"joints": joints}))
-    assert got.recording.period == pytest.approx(1e-3)
-    assert got.recording.get("tau_t", "fr3_joint4") == pytest.approx(values["tau_J"][:, 3])
-    assert got.recording.get("q", "fr3_joint7") == pytest.approx(values["q"][:, 6])
-    assert "without gravity and friction" in plain(got.account)
+    assert got.recording.period == pytest.approx(1e-3) and got.recording.time.size == 150
+    t = got.recording.time - got.recording.time[0]
+    for j, joint in enumerate(joints):
+        speed = 2.0 + 0.5 * j
+        angle = speed * t + j
+        sent = {
+            "q": 0.4 * np.sin(angle),
+            "q_ref": 0.4 * np.sin(angle) + 0.001 * (j + 1),
+            "dq": 0.4 * speed * np.cos(angle),
+            "tau_t": 10.0 * np.cos(angle) + j,
+        }
+        for channel, values in sent.items():
+            digit = 5e-5 if channel == "tau_t" else 5e-6  # half the last of six, above ten and above one
+            assert got.recording.get(channel, joint) == pytest.approx(values, abs=1.01 * digit)
+    said = plain(got.account)
+    assert "not used: success_rate" in said and "without gravity and friction" in said
     with pytest.raises(RecordingError, match="does not say of which joints; give --joints"):
         read(path)
 
