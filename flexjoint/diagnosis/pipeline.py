@@ -149,7 +149,7 @@ def _data_errors(
     """What of the data cannot be right; what is wrong with the robot itself is said once."""
     found: list[DataFinding] = []
     for robot, recording in zip(robots, recordings, strict=True):
-        new = check.check_data(robot, recording, settings=settings.data).findings
+        new = check.data_errors(robot, recording, settings.data)
         found += [f for f in new if f.columns or all(f.text != other.text for other in found)]
     return tuple(found)
 
