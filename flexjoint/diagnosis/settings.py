@@ -748,6 +748,26 @@ class VerdictSettings(Stage):
         "that a frequency must explain beyond any signal: a motion that repeats itself oscillates, too",
         "judgement",
     )
+    # --- a push
+    push_least: float = number(0.2, "s", "shortest push that is told", "judgement")
+    push_most: float = number(
+        0.5,
+        "share of the recording",
+        "longest push that is told: beyond, the rest is the exception",
+        "judgement",
+    )
+    push_share: float = number(
+        0.6,
+        "share of what is left of a balance",
+        "that a push must explain: half is a coincidence",
+        "judgement",
+    )
+    push_clear: float = number(
+        0.2, "the same", "by which it must explain more than any law of a signal does", "judgement"
+    )
+    push_quiet: float = number(
+        0.5, "times the push", "that may be left (deviation) within its time and at all others", "judgement"
+    )
     # --- checks
     sure: float = number(
         3.0, "standard errors", "by which a cause must differ from none", "theory: three standard deviations"
@@ -863,6 +883,9 @@ class VerdictSettings(Stage):
     )
     simulated_belief: float = number(
         6.0, "log odds", "more for every factor of ten beyond that, and less below", "judgement"
+    )
+    disbelieved: float = number(
+        0.05, "probability", "of a cause up to which it is listed as not believed, and no more", "judgement"
     )
     likely: float = number(0.5, "probability", "from which a cause is taken to be there", "judgement")
     # --- whether the causes named are all

@@ -31,7 +31,13 @@ def advice(
         extra = f"measure {own[0]} too" if own else "repeat the motion with a known payload"
         return f"To tell {_name(first.effect, first.joint)} from {rivals}: {extra}."
     if left:
-        worst = left[0]
+        # with a push in it, a recording shows what else there is only beside it
+        worst = next((one for one in left if one.begin is not None), left[0])
+        if worst.begin is not None and worst.end is not None:
+            return (
+                f"Find out what pushed at {worst.joint} from {worst.begin:.1f} to {worst.end:.1f} s, and"
+                " record again without it; the recording without that stretch shows what else there is."
+            )
         return (
             f"Record slow and fast sweeps of {worst.joint} over its whole range: what is left of its"
             f" {worst.balance} balance depends on {worst.against}."
