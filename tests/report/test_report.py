@@ -267,7 +267,7 @@ def test_without_a_held_out_comparison_the_simulations_give_the_numbers(arm2, me
     diagnosis = replace(causes(measured, before, after), comparison=None, residuals=())
     text = Page(report.render(diagnosis, arm2, measured, before, after)).text
     assert "In the simulation of the data of the fit itself, the error of" in text
-    assert " % error of link velocity dq at elbow in the simulation, of its standard deviation" in text
+    assert "20 % → 2.0 % error of motor velocity dtheta at elbow in the simulation" in text
 
 
 def test_a_change_of_a_nominal_effect_is_called_one(measured, before, after):
