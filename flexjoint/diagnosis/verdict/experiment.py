@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flexjoint.diagnosis.result import Finding, Unexplained
+from flexjoint.diagnosis.result.wording import signal_name
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
@@ -32,6 +33,7 @@ def advice(
         return f"To tell {_name(first.effect, first.joint)} from {rivals}: {extra}."
     if left:
         # with a push in it, a recording shows what else there is only beside it
+        rigid = all(joint.rigid for joint in robot.joints)
         worst = next((one for one in left if one.begin is not None), left[0])
         if worst.begin is not None and worst.end is not None:
             return (
@@ -40,7 +42,7 @@ def advice(
             )
         return (
             f"Record slow and fast sweeps of {worst.joint} over its whole range: what is left of its"
-            f" {worst.balance} balance depends on {worst.against}."
+            f" {worst.balance} balance depends on {signal_name(worst.against, rigid)}."
         )
     if blind:
         joints = sorted({joint for _, joint in blind if joint is not None})
