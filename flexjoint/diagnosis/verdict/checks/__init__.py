@@ -16,15 +16,15 @@ from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
 from flexjoint.diagnosis.verdict.checks.worse_simulation import WorseSimulation
 
-BALANCES: tuple[Check[Case], ...] = (
-    FrictionAtRest(),
-    ShrunkLaw(),
-    ContradictedByABalance(),
-    UncertainSize(),
-)
+BALANCES: tuple[Check[Case], ...] = (ShrunkLaw(), ContradictedByABalance(), UncertainSize())
 NAMES: tuple[Check[Case], ...] = (KnownName(),)
 SIMULATION: tuple[Check[SimulatedCase], ...] = (WorseSimulation(),)
-FINDINGS: tuple[Check[StatedCase], ...] = (Improbable(), AbsentOnTheSimulation(), FinerThanKnown())
+FINDINGS: tuple[Check[StatedCase], ...] = (
+    FrictionAtRest(),
+    Improbable(),
+    AbsentOnTheSimulation(),
+    FinerThanKnown(),
+)
 EVERY: tuple[Check[Any], ...] = (*BALANCES, *NAMES, *SIMULATION, *FINDINGS)
 
 __all__ = ["BALANCES", "EVERY", "FINDINGS", "NAMES", "SIMULATION", "Check", "Objection"]

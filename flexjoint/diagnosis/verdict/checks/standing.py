@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 
 from flexjoint.diagnosis.settings import Settings
-from flexjoint.diagnosis.verdict.cases import Case
+from flexjoint.diagnosis.verdict.cases import StatedCase
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
 
 
-class FrictionAtRest(Check[Case]):
+class FrictionAtRest(Check[StatedCase]):
     name = "friction at rest"
-    stage = "balances"
+    stage = "findings"
     reason = (
         "Any friction that is large enough holds a joint that never moves, and so does a brake, a lock, or an"
         " encoder that is dead: such a friction is not reported."
@@ -18,7 +18,7 @@ class FrictionAtRest(Check[Case]):
     def limit(self, settings: Settings) -> float:
         return settings.verdict.at_rest
 
-    def objections(self, case: Case) -> tuple[Objection, ...]:
+    def objections(self, case: StatedCase) -> tuple[Objection, ...]:
         best = case.selection.best
         readings, names = best.problem.readings, best.problem.robot.joint_names
         found = []
