@@ -20,6 +20,7 @@ from flexjoint.diagnosis.data import check
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
 from flexjoint.diagnosis.result import DataFinding, Diagnosis, Finding, Remaining, Step, Unexplained
+from flexjoint.diagnosis.result.wording import signal_name
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.robust_search import JointwiseProblem, search_robustly
@@ -149,7 +150,7 @@ def _data_errors(
     """What of the data cannot be right; what is wrong with the robot itself is said once."""
     found: list[DataFinding] = []
     for robot, recording in zip(robots, recordings, strict=True):
-        new = check.check_data(robot, recording, settings=settings.data).findings
+        new = check.data_errors(robot, recording, settings.data)
         found += [f for f in new if f.columns or all(f.text != other.text for other in found)]
     return tuple(found)
 
@@ -290,7 +291,8 @@ def _diagnosis(
     named, estimation = case.estimated
     limits, joints = task.settings.verdict, remaining(case.unseen)
     found = verdict.merged(named, candidates, limits)
-    kind, reason = _verdict(found, case.left, case.explained, standing_out(joints, limits), limits)
+    rigid = all(joint.rigid for joint in case.robot.joints)
+    kind, reason = _verdict(found, case.left, case.explained, standing_out(joints, limits), limits, rigid)
     blind = verdict.not_excited(selection, candidates)
     task.report(1.0, "done")
     return Diagnosis(
@@ -315,7 +317,7 @@ def _diagnosis(
         trace=(*case.trace, *_kept(found)),
         robot=case.robot.name,
         prismatic=case.robot.prismatic,
-        rigid=all(joint.rigid for joint in case.robot.joints),
+        rigid=rigid,
     )
 
 
@@ -390,6 +392,7 @@ def _verdict(
     explained: float,
     joints: Sequence[Remaining],
     settings: VerdictSettings,
+    rigid: bool,
 ) -> tuple[str, str]:
     there = any(f.probability >= settings.likely for f in found)
     share = f"the causes named explain {100.0 * explained:.0f} % of the error above sensor noise"
@@ -400,7 +403,8 @@ def _verdict(
         return (
             "unexplained",
             f"the causes named leave {worst.after:.3g} N m at {worst.joint},"
-            f" {100.0 * worst.after / worst.torque:.0f} % of its torque; it depends most on {worst.against}",
+            f" {100.0 * worst.after / worst.torque:.0f} % of its torque; it depends most on"
+            f" {signal_name(worst.against, rigid)}",
         )
     if found:
         return "unexplained", f"{share}, but what they leave has a shape: another cause may stand behind them"

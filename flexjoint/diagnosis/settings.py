@@ -143,6 +143,39 @@ class DataSettings(Stage):
     gyration: float = number(
         10.0, "reach of the robot", "largest radius of gyration that a body may have", "judgement"
     )
+    lag_joints: int = number(
+        2,
+        "joints",
+        "that must show a lag of the torque's reading: friction of a single one may look like it",
+        "judgement",
+    )
+    lag_sure: float = number(
+        5.0,
+        "standard errors",
+        "that such a lag must have at a joint, to show it or to contradict it",
+        "machine: joints of KR300, TX40 and EMPS reach 3.2 in six recordings, but one of KR300's C 10",
+    )
+    lag_least: float = number(
+        1e-3, "s", "least lag of torques: below it any two readings of one row may differ", "judgement"
+    )
+    lag_alike: float = number(
+        0.3, "share of the lag", "by which it may differ at a joint: a filter is that of all", "judgement"
+    )
+    lag_agreeing: float = number(
+        0.75, "share of joints", "of those that can tell, that must agree with the lag", "judgement"
+    )
+    lag_left: float = number(
+        0.95,
+        "share (RMS) of what no law of the motion explains",
+        "that a lag may leave of the usual joint that shows it",
+        "machine: 5 ms of planted lag leave 0.4 to 0.95, no lag 0.96 and more",
+    )
+    lag_moving: float = number(
+        0.2,
+        "joint's speed (RMS)",
+        "below which a lag is not looked for: friction reverses there",
+        "judgement",
+    )
 
 
 @dataclass(frozen=True)
@@ -721,9 +754,35 @@ class VerdictSettings(Stage):
         "that a frequency must explain beyond any signal: a motion that repeats itself oscillates, too",
         "judgement",
     )
+    # --- a push
+    push_least: float = number(0.2, "s", "shortest push that is told", "judgement")
+    push_most: float = number(
+        0.5,
+        "share of the recording",
+        "longest push that is told: beyond, the rest is the exception",
+        "judgement",
+    )
+    push_share: float = number(
+        0.6,
+        "share of what is left of a balance",
+        "that a push must explain: half is a coincidence",
+        "judgement",
+    )
+    push_clear: float = number(
+        0.2, "the same", "by which it must explain more than any law of a signal does", "judgement"
+    )
+    push_quiet: float = number(
+        0.5, "times the push", "that may be left (deviation) within its time and at all others", "judgement"
+    )
     # --- checks
     sure: float = number(
         3.0, "standard errors", "by which a cause must differ from none", "theory: three standard deviations"
+    )
+    at_rest: float = number(
+        1e-9,
+        "rad or m",
+        "of travel in all, up to which a joint never moves: an encoder repeats itself",
+        "theory: rounding",
     )
     probable: float = number(
         0.1, "probability", "of a cause and its ties, below which it is not named", "judgement"
@@ -842,6 +901,9 @@ class VerdictSettings(Stage):
     )
     simulated_belief: float = number(
         6.0, "log odds", "more for every factor of ten beyond that, and less below", "judgement"
+    )
+    disbelieved: float = number(
+        0.05, "probability", "of a cause up to which it is listed as not believed, and no more", "judgement"
     )
     likely: float = number(0.5, "probability", "from which a cause is taken to be there", "judgement")
     # --- whether the causes named are all

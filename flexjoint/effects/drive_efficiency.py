@@ -21,8 +21,9 @@ class DriveEfficiency(Effect):
         r"\mu = \mu_d \text{ if } \tau_t\dot\theta \geq 0,\ \mu_b \text{ if } \tau_t\dot\theta < 0"
     )
     params = (
-        Parameter("loss_driving", "1", r"\mu_d", value=0.1, low=0.0, high=20.0),
-        Parameter("loss_backdriving", "1", r"\mu_b", value=0.2, low=0.0, high=20.0),
+        # an efficiency of a fifth: that of the worst worm gears
+        Parameter("loss_driving", "1", r"\mu_d", value=0.1, low=0.0, high=4.0),
+        Parameter("loss_backdriving", "1", r"\mu_b", value=0.2, low=0.0, high=4.0),
     )
     contains = ("load_friction",)
     alike = ("loss_driving", "loss_backdriving")

@@ -11,7 +11,9 @@ class MotorInertia(Effect):
 
     site, kind, against, reference = Site.MOTOR, Kind.PARAMETER, "tau_m", "Spong 1987 (motor equation)"
     law = r"(1 + e)\,B"
-    params = (Parameter("scale", "1", "e", value=0.1, low=-0.99, high=1e5),)
+    # by a factor of five: a data sheet may leave out the gear, the brake or the encoder; a wrong gear ratio,
+    # of which the square counts, is an error of the data, and what is off by more is another cause
+    params = (Parameter("scale", "1", "e", value=0.1, low=-0.8, high=4.0),)
 
     def edit_drive(self, drive: Drive, p: Any) -> Drive:
         return drive.scaled(B=1.0 + p.scale)

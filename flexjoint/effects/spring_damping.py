@@ -11,7 +11,8 @@ class SpringDamping(Effect):
 
     site, kind, against, reference = Site.SPRING, Kind.PARAMETER, "dphi", "De Luca and Book 2016"
     law = r"(1 + e)\,D"
-    params = (Parameter("scale", "1", "e", value=0.2, low=-1.0, high=1e5),)
+    # by a factor of twenty: hardly any data sheet has it, and it is a guess in most models
+    params = (Parameter("scale", "1", "e", value=0.2, low=-1.0, high=19.0),)
     needs_spring = True
 
     def edit_drive(self, drive: Drive, p: Any) -> Drive:

@@ -12,7 +12,9 @@ class TorqueGain(Effect):
 
     site, kind, against, reference = Site.COMMAND, Kind.PARAMETER, "tau_m", "Gautier and Briot 2014"
     law = r"\tau = (1 + e)\,\tau_m"
-    params = (Parameter("gain", "1", "e", value=0.05, low=-3.0, high=1e3),)
+    # by a factor of five: torque constants differ by a tenth, a gear ratio or a current of another definition
+    # (amplitude, effective value) by more; a wrong sign or unit is an error of the data
+    params = (Parameter("gain", "1", "e", value=0.05, low=-0.8, high=4.0),)
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
         return (1.0 + p.gain) * x

@@ -12,7 +12,8 @@ class TorqueSensorGain(Effect):
 
     site, kind, against, reference = Site.SENSOR, Kind.SENSOR, "tau_t", "formats: (1 + gain) tau_t + offset"
     law = r"y = (1 + e)\,\tau_t"
-    params = (Parameter("gain", "1", "e", value=0.05, low=-3.0, high=1e3),)
+    # by a factor of five, as of a wrong calibration; a wrong sign or unit is an error of the data
+    params = (Parameter("gain", "1", "e", value=0.05, low=-0.8, high=4.0),)
 
     def channels(self, p: Any) -> tuple[str, ...]:
         return ("tau_t",)

@@ -31,6 +31,11 @@ STEPS = 10.0  # and of its encoder, or standard deviations of its noise
 ALWAYS = 0.9  # share of a recording, from which on there is no elsewhere: then ...
 MOVED = 0.1  # rad (or m) must the other side move: more than springs and gaps allow
 
+# stuck or saturated encoders that nothing beside them shows: no body stops and starts between two samples
+ABRUPT = 0.5  # of the usual speed, that it has right before and right after, or more, and ...
+FLAT_SECONDS = 0.05  # at least
+CLEAR = 10.0  # ... as many times its noise or its step, from sample to sample
+
 # saturated sensors
 FLAT = 5  # samples in a row at the largest value, and
 FLAT_SAMPLES = 10  # in all: noise gives the largest value once
@@ -69,6 +74,7 @@ def inspected(robot: Robot, recording: Recording) -> Recording:
     for joint in robot.joint_names:
         for channel in ("q", "theta"):
             _unstuck(work, robot, channel, joint)
+            _unfrozen(work, channel, joint)
         for channel in ("tau_t", "dq", "dtheta", "tau_motor"):
             _unsaturated(work, robot, channel, joint)
         for velocity, position in VELOCITIES.items():
@@ -157,6 +163,50 @@ def _unstuck(work: _Work, robot: Robot, channel: str, joint: str) -> None:
         return
 
 
+def _unfrozen(work: _Work, channel: str, joint: str) -> None:
+    """Without the spans in which an encoder stays the same and before and behind which it moves at full speed
+    from one sample to the next, as no body does: one that sticks, or at the end of its range. And a note
+    where it never changes."""
+    if (channel, joint) not in work.columns:
+        return
+    values, time = work.columns[channel, joint], work.recording.time
+    rows = np.flatnonzero(np.isfinite(values))
+    x = values[rows]
+    if x.size < FLAT:
+        return
+    if np.ptp(x) == 0.0:
+        work.notes.append(
+            f"{channel}.{joint} is {x[0]:.6g} throughout: the joint stands still or is locked, or its"
+            " encoder is dead"
+        )
+        return
+    steps = np.abs(np.diff(x))
+    moving = steps[steps > 0.0]
+    least = max(ABRUPT * float(np.sqrt(np.mean(moving**2))), CLEAR * max(step_of(x), usual_noise(x)))
+    first, length = _runs(x)
+    found = []
+    for a, n in zip(first.tolist(), length.tolist(), strict=True):
+        end = a + n - 1
+        long = n >= FLAT and time[rows[end]] - time[rows[a]] >= FLAT_SECONDS
+        if long and a >= 2 and end + 1 < x.size and min(steps[a - 2], steps[end]) > least:
+            found.append((a, end))
+    if not found:
+        return
+    out = values.copy()
+    for a, end in found:
+        out[rows[a : end + 1]] = np.nan
+    for extreme in {x[a] for a, _ in found} & {np.max(x), np.min(x)}:
+        out[rows[x == extreme]] = np.nan  # the end of its range, however slowly it came there
+    work.columns[channel, joint] = out
+    a, end = max(found, key=lambda span: span[1] - span[0])
+    more = f", and in {len(found) - 1} more spans" if len(found) > 1 else ""
+    work.notes.append(
+        f"{channel}.{joint} stays at {x[a]:.6g} from {time[rows[a]]:.4g} to {time[rows[end]]:.4g} s, and"
+        f" moves at full speed right before and behind{more}: an encoder that is stuck or at the end of its"
+        " range; these samples are not used"
+    )
+
+
 def _witnesses(work: _Work, channel: str, joint: str) -> dict[str, np.ndarray]:
     """Signals (N,) that move as a position does: the other side, the references, its integrated velocity."""
     other = "theta" if channel == "q" else "q"
@@ -231,8 +281,8 @@ def _without_lag(work: _Work, velocity: str, position: str, joint: str) -> None:
     if lag is None:
         return
     said = (
-        f"{velocity}.{joint} lags the derivative of {position}.{joint} by {1e3 * lag:.2g} ms: a filtered"
-        " velocity"
+        f"{velocity}.{joint} lags the derivative of {position}.{joint} by {1e3 * lag:.2g} ms: a sensor lag,"
+        " as of a velocity that is filtered with this time constant"
     )
     torque = any((channel, joint) in work.columns for channel in ("tau_m", "tau_motor"))
     if velocity == "dtheta" and not torque:

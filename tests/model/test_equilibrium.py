@@ -214,7 +214,7 @@ def test_creep_has_relaxed_on_a_slow_path() -> None:
     ("effects", "command"),
     [
         ({"torque_gain": {"gain": 0.25}}, lambda tau, theta: tau / 1.25),
-        ({"torque_gain": {"gain": -2.0}}, lambda tau, theta: -tau),
+        ({"torque_gain": {"gain": -0.6}}, lambda tau, theta: tau / 0.4),
         ({"torque_offset": {"offset": 1.5}}, lambda tau, theta: tau - 1.5),
         (
             {"torque_gain": {"gain": 1.0}, "torque_saturation": {"limit": 60.0}},

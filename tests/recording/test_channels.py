@@ -113,13 +113,47 @@ def test_an_encoder_that_is_stuck_throughout_is_no_channel() -> None:
 
 
 def test_a_motor_that_stands_still_is_no_stuck_encoder() -> None:
-    """Both sides rest, without any noise, while the references ask for it."""
+    """Both sides come to rest within 0.4 s, rest without any noise while the references ask for it, and start
+    again."""
     table = measured()
-    held = {key: values.copy() for key, values in table.columns.items()}
-    for values in held.values():
-        values[2000:2600] = values[2000]
+    pace = np.interp(
+        np.arange(table.time.size), [0, 1900, 2100, 2600, 2800, table.time.size], [1, 1, 0, 0, 1, 1]
+    )
+    place = np.minimum(np.cumsum(pace), table.time.size - 1)
+    held = {key: np.interp(place, np.arange(values.size), values) for key, values in table.columns.items()}
     rest = replace(table, columns=held)
+    assert np.ptp(rest.get("q", JOINT)[2101:2600]) == 0.0
     assert not any("stuck" in note for note in looked_at(rest).notes)
+
+
+@pytest.mark.parametrize("channel", ["q", "theta"])
+def test_an_encoder_that_sticks_alone_is_not_used_where_it_does(channel: str) -> None:
+    """Nothing beside it shows the motion."""
+    table = measured()
+    stuck = table.get(channel, JOINT).copy()
+    stuck[2000:2400] = stuck[2000]
+    seen = looked_at(replace(table, columns={(channel, JOINT): stuck}))
+    assert np.flatnonzero(np.isnan(seen.get(channel, JOINT))).tolist() == list(range(2000, 2400))
+    assert (
+        f"{channel}.swing stays at" in seen.notes[0] and "stuck or at the end of its range" in seen.notes[0]
+    )
+
+
+def test_an_encoder_at_the_ends_of_its_range_is_not_used_there() -> None:
+    theta = measured().get("theta", JOINT)
+    low, high = np.quantile(theta, [0.1, 0.9])
+    table = replace(measured(), columns={("theta", JOINT): np.clip(theta, low, high)})
+    clipped = (theta <= low) | (theta >= high)
+    lost = np.isnan(looked_at(table).get("theta", JOINT))
+    assert np.mean(lost[clipped]) > 0.7 and not np.any(lost[~clipped])
+
+
+def test_an_encoder_that_never_changes_is_noted() -> None:
+    table = replace(measured(), columns={("theta", JOINT): np.full(measured().time.size, 0.3)})
+    (note,) = looked_at(table).notes
+    assert note.startswith(
+        "theta.swing is 0.3 throughout: the joint stands still or is locked, or its encoder"
+    )
 
 
 def test_a_saturated_torque_sensor_is_not_used_at_the_end_of_its_range() -> None:
@@ -156,7 +190,8 @@ def test_the_lag_of_a_filtered_velocity_is_measured(constant: float) -> None:
     seen = looked_at(changed(dq=filtered))
     assert not seen.has("dq", JOINT)
     assert seen.notes == (
-        f"dq.swing lags the derivative of q.swing by {1e3 * lag:.2g} ms: a filtered velocity; it is not used",
+        f"dq.swing lags the derivative of q.swing by {1e3 * lag:.2g} ms: a sensor lag, as of a velocity"
+        " that is filtered with this time constant; it is not used",
     )
 
 

@@ -165,7 +165,8 @@ def test_every_measure_at_the_top_has_its_unit(arm2, measured):
     for said in (
         "53 N torque error at slide, nominal model",
         "2.2 N torque error there, with the causes",
-        "3.2 % → 2.8 % error of the simulation, of the signals' standard deviation (NRMSE)",
+        "3.2 % → 2.8 % error of motor position theta at slide in the simulation, of its standard deviation"
+        " (NRMSE)",
     ):
         assert said in top, said
     assert "> 99 %" not in text
@@ -266,7 +267,7 @@ def test_without_a_held_out_comparison_the_simulations_give_the_numbers(arm2, me
     diagnosis = replace(causes(measured, before, after), comparison=None, residuals=())
     text = Page(report.render(diagnosis, arm2, measured, before, after)).text
     assert "In the simulation of the data of the fit itself, the error of" in text
-    assert "15 % → 1.5 % error of the simulation" in text
+    assert "20 % → 2.0 % error of motor velocity dtheta at elbow in the simulation" in text
 
 
 def test_a_change_of_a_nominal_effect_is_called_one(measured, before, after):

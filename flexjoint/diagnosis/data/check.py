@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from flexjoint.core.errors import RecordingError
 from flexjoint.core.files import check_suffix, write_json
 from flexjoint.core.text import Block, Line, as_html, plain
 from flexjoint.diagnosis.data import bodies, columns
@@ -23,13 +24,15 @@ from flexjoint.diagnosis.data.motion import encoders, stamps, velocities
 from flexjoint.diagnosis.data.sentences import evidence, said
 from flexjoint.diagnosis.data.torques.errors import turned, unit, zero
 from flexjoint.diagnosis.data.torques.follows import Balance
+from flexjoint.diagnosis.data.torques.lag import torque_lag
 from flexjoint.diagnosis.data.torques.sampled import sampled
 from flexjoint.diagnosis.data.torques.search import Found, found_errors
 from flexjoint.diagnosis.result.sentences import data_lines
 from flexjoint.diagnosis.result.values import DataFinding, data_to_json
-from flexjoint.diagnosis.result.wording import clean
+from flexjoint.diagnosis.result.wording import clean, sentence
 from flexjoint.diagnosis.settings import USUAL, DataSettings
 from flexjoint.recording import table as tables
+from flexjoint.recording.channels import inspected
 from flexjoint.recording.clock import without_pauses
 from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording
@@ -39,11 +42,13 @@ from flexjoint.robot.robot import Robot, shipped_robots
 
 @dataclass(frozen=True)
 class DataCheck:
-    """What `check_data` found: errors of the data, and the recording that it looked at."""
+    """What `check_data` found: errors of the data, the recording that it looked at, and how a diagnosis takes
+    readings that are no error, but not what their name says either (held, stuck, saturated, filtered)."""
 
     robot: str
     recording: Recording
     findings: tuple[DataFinding, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def repaired(self) -> Recording:
@@ -54,12 +59,16 @@ class DataCheck:
         """The findings with their repairs, as blocks of text."""
         if not self.findings:
             head = f"{clean(self.recording.name)} against {clean(self.robot)}: no error of the data found"
-            return (Line(head, whole=True),)
+            return (Line(head, whole=True), *self._noted())
         head = f"{clean(self.recording.name)} against {clean(self.robot)}: the data cannot be right"
         return (
             Line(head, "bold", whole=True),
             *(Line(text, whole=True) for text in data_lines(self.findings)),
+            *self._noted(),
         )
+
+    def _noted(self) -> tuple[Block, ...]:
+        return tuple(Line(sentence(note), "dim", whole=True) for note in self.notes)
 
     def __str__(self) -> str:
         return plain(self.summary())
@@ -69,7 +78,11 @@ class DataCheck:
 
     def to_json(self) -> dict[str, Any]:
         """The JSON form of `flexjoint check-data` (docs/reference/formats.md)."""
-        return {"schema": 1, "data": [data_to_json(finding) for finding in self.findings]}
+        return {
+            "schema": 1,
+            "data": [data_to_json(finding) for finding in self.findings],
+            "notes": list(self.notes),
+        }
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the findings as JSON, whole or not at all."""
@@ -91,8 +104,15 @@ def check_data(robot: Robot, recording: Recording, *, settings: DataSettings = U
     """
     robot = robots.expect(robot, "check_data")
     recording = with_torques(robot, tables.expect(recording, "check_data"))
+    findings = data_errors(robot, recording, settings)
+    right = columns.repaired(recording, findings)
+    return DataCheck(robot.name, recording, findings, (*recording.notes, *_taken(robot, right, settings)))
+
+
+def data_errors(robot: Robot, recording: Recording, settings: DataSettings) -> tuple[DataFinding, ...]:
+    """What of a recording with torques cannot be right (`flexjoint.recording.currents.with_torques`)."""
     if arrived := tuple(stamps.of_arrival(recording, settings)):  # nothing else can be told from wrong times
-        return DataCheck(robot.name, recording, arrived)
+        return arrived
     now = without_pauses(recording)
     direct = list(encoders.differences(robot, now, settings))
     now = columns.repaired(now, direct)
@@ -101,8 +121,18 @@ def check_data(robot: Robot, recording: Recording, *, settings: DataSettings = U
     direct = [*direct, *rates]
     found = [*bodies.impossible(robot, settings), *_merged(direct, _by_torques(robot, now, settings))]
     command = _command(robot, recording)
-    finished = (replace(f, recording=recording.name, command=command if f.columns else "") for f in found)
-    return DataCheck(robot.name, recording, tuple(finished))
+    return tuple(replace(f, recording=recording.name, command=command if f.columns else "") for f in found)
+
+
+def _taken(robot: Robot, recording: Recording, settings: DataSettings) -> tuple[str, ...]:
+    """How a diagnosis takes the channels of a recording, or why it refuses them."""
+    try:
+        seen = inspected(robot, without_pauses(recording))
+    except RecordingError as error:
+        return (str(error),)
+    lag = torque_lag(robot, seen, settings)
+    known = len(recording.notes)
+    return (*seen.notes[known:], *([str(lag)] if lag is not None else []))
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def _of_machine(diagnosis: Result, gain: Gain | None, joints: Joints) -> tuple[S
         )
     else:
         said = (
-            Statement("Is it there?", (_nothing_named(diagnosis),)),
+            Statement("Is it there?", pushes(diagnosis, joints) or (_nothing_named(diagnosis),)),
             Statement("What is left?", (*_left(diagnosis, joints), *_error_stays(gain))),
             Statement("What next?", _next(diagnosis)),
         )
@@ -105,7 +105,18 @@ def likely(diagnosis: Result) -> tuple[Finding, ...]:
 
 def possible(diagnosis: Result) -> tuple[Finding, ...]:
     """The causes that are more likely absent, and not in the extended model."""
-    return tuple(f for f in diagnosis.findings if f.probability < USUAL.verdict.likely)
+    limits = USUAL.verdict
+    return tuple(f for f in diagnosis.findings if limits.disbelieved < f.probability < limits.likely)
+
+
+def disbelieved(diagnosis: Result) -> str:
+    """The causes that were looked at and are not believed, in one sentence; empty without any."""
+    named = [
+        f"{cause(f.effect, f.joint)} ({percent(f.probability)})"
+        for f in diagnosis.findings
+        if f.probability <= USUAL.verdict.disbelieved
+    ]
+    return sentence(f"Not believed: {', '.join(named)}") if named else ""
 
 
 def ties(diagnosis: Result) -> tuple[str, ...]:
@@ -208,13 +219,10 @@ def _odds(finding: Finding, joints: Joints) -> str:
 def moved(finding: Finding, gain: Gain | None, joints: Joints) -> str:
     """How far the simulation's error falls in the signal of the cause's own joint that gains most; of a cause
     of the whole robot, in the signal of any joint. Empty without a comparison."""
-    at = {finding.joint} if finding.joint is not None else {e.joint for e in finding.members}
-    known = [e for e in merit.channel_errors(gain) if math.isfinite(e.before) and math.isfinite(e.after)]
-    own = [e for e in known if e.joint in at or None in at or not at]
-    if gain is None or not own:
+    most = most_moved(finding, gain)
+    if gain is None or most is None:
         return ""
     data = "data that the fit did not see" if gain.held_out else "the data of the fit itself"
-    most = max(own, key=lambda e: e.before - e.after)
     if most.after >= most.before:
         where = f"of {clean(finding.joint)}" if finding.joint is not None else "of the robot"
         return (
@@ -230,6 +238,14 @@ def moved(finding: Finding, gain: Gain | None, joints: Joints) -> str:
         f"In the simulation of {data}, the error of {joints.signal(most.channel)} at {clean(most.joint)}"
         f" falls: {'; '.join(parts)}."
     )
+
+
+def most_moved(finding: Finding, gain: Gain | None) -> merit.ChannelError | None:
+    """The signal of the cause's own joint in which the simulation's error falls most."""
+    at = {finding.joint} if finding.joint is not None else {e.joint for e in finding.members}
+    known = [e for e in merit.channel_errors(gain) if math.isfinite(e.before) and math.isfinite(e.after)]
+    own = [e for e in known if e.joint in at or None in at or not at]
+    return max(own, key=lambda e: e.before - e.after, default=None)
 
 
 def _nothing_named(diagnosis: Result) -> str:
@@ -260,7 +276,7 @@ def _left(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
             f"Of what is left at {clean(shape.joint)}, {joints.torque(shape.joint, shape.structured)} follow"
             f" {joints.signal(shape.against)}, by a law that {law}."
         )
-    elif diagnosis.verdict == "unexplained":
+    elif diagnosis.verdict == "unexplained" and not pushes(diagnosis, joints):
         lines.append(f"What is left at {clean(most.joint)} follows no single signal.")
     if possible(diagnosis):
         lines.append("This is with the possible causes, too, which are not in the extended model.")
@@ -271,10 +287,11 @@ def _left(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
 
 def _of_joint(left: Remaining, joints: Joints, verb: str, opening: str = "") -> str:
     share = percent(ratio(left.after, left.before))
-    text = (
-        f"{opening}{joints.torque(left.joint, left.after)} of {joints.torque(left.joint, left.before)}"
-        f" {verb} {clean(left.joint)} ({share})"
-    )
+    # an error of a spring moves torque from the motor to the link: their sum was right before
+    wrong = left.before > torque.ABOVE_NOISE * left.noise
+    of = f" of {joints.torque(left.joint, left.before)}" if wrong else ""
+    text = f"{opening}{joints.torque(left.joint, left.after)}{of} {verb} {clean(left.joint)}"
+    text += f" ({share})" if wrong else ""
     parts = []
     if left.torque > 0.0:
         parts.append(f"{percent(left.after / left.torque)} of its torque")
@@ -287,11 +304,22 @@ def uncovered(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
     """What is left of balances that no joint's torque error holds: the springs', and joints without motor
     torques."""
     counted = {left.joint for left in diagnosis.remaining}
-    return tuple(
+    pushed = pushes(diagnosis, joints) if diagnosis.findings else ()
+    return pushed + tuple(
         f"{percent(u.share)} of the {clean(u.balance)} balance's squared error at {clean(u.joint)} is left;"
         f" it depends most on {joints.signal(u.against)}."
         for u in diagnosis.unexplained
-        if u.balance == "spring" or u.joint not in counted
+        if u.begin is None and (u.balance == "spring" or u.joint not in counted)
+    )
+
+
+def pushes(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
+    """What acted from outside, and when."""
+    return tuple(
+        f"An outside force acts on the link of {clean(u.joint)} from {u.begin:.1f} to {u.end:.1f} s, with"
+        f" about {joints.torque(u.joint, u.torque)} at this joint: no signal of the robot goes with it."
+        for u in diagnosis.unexplained
+        if u.begin is not None and u.end is not None and u.torque is not None
     )
 
 

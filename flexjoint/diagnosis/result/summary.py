@@ -45,6 +45,7 @@ def _blocks(result: Result) -> Iterator[Block]:
         yield from _lines(sentence(capital(result.reason)), style="dim")
     yield from _causes("Causes", sentences.likely(result), joints)
     yield from _causes("Possible, not in the extended model", sentences.possible(result), joints)
+    yield from _lines(sentences.disbelieved(result), style="dim")
     yield from _lines(*sentences.numbers(result))
     for finding in result.findings:
         if finding.hidden_by_refit:

@@ -118,15 +118,20 @@ class Removal:
         return f"{self.balance}{where} {self.fall}{part}"
 
 
+def balance(name: str, joints: Joints) -> str:
+    """What is wrong in a balance, in words."""
+    known = BALANCES.get(name, f"error of the {clean(name)} balance")
+    return BALANCES["motor"] if joints.rigid else known
+
+
 def removal(finding: Finding, joints: Joints) -> Removal | None:
     """The error of the extended model without the cause and with it; None where it was not measured."""
     removed = finding.removed
     if removed is None:
         return None
-    known = BALANCES.get(removed.balance, f"error of the {clean(removed.balance)} balance")
     share = _finite(1.0 - ratio(removed.left, removed.without))
     return Removal(
-        BALANCES["motor"] if joints.rigid else known,
+        balance(removed.balance, joints),
         "" if joints.rigid else SHORT.get(removed.balance, ""),
         "" if removed.joint == finding.joint else clean(removed.joint),
         joints.fall(removed.joint, removed.without, removed.left),

@@ -90,6 +90,10 @@ class Unexplained:
     balance: str  # motor | link | spring
     share: float  # of this balance's error
     against: str  # the signal it depends on most
+    # a torque from outside that acts on the joint's link for some time [s, of the recording; N m]
+    begin: float | None = None
+    end: float | None = None
+    torque: float | None = None
 
 
 @dataclass(frozen=True)
@@ -354,7 +358,13 @@ def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
         "data": [data_to_json(d) for d in diagnosis.data],
         "findings": [_finding(f) for f in diagnosis.findings],
         "unexplained": [
-            {"joint": u.joint, "balance": u.balance, "share": u.share, "against": u.against}
+            {
+                "joint": u.joint,
+                "balance": u.balance,
+                "share": u.share,
+                "against": u.against,
+                "push": None if u.begin is None else {"begin": u.begin, "end": u.end, "torque": u.torque},
+            }
             for u in diagnosis.unexplained
         ],
         "remaining": [asdict(r) for r in diagnosis.remaining],

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from flexjoint.diagnosis.data.torques.lag import advanced, torque_lag
 from flexjoint.recording.channels import inspected
 from flexjoint.recording.clock import without_pauses
 from flexjoint.recording.table import Recording, was_measured
@@ -56,7 +57,7 @@ def excerpts(
     search takes in the `seconds` that are allowed for it.
 
     Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.channels`)."""
-    recordings = [inspected(robot, without_pauses(recording)) for recording in recordings]
+    recordings = [_repaired(robot, recording) for recording in recordings]
     repairs = tuple(f"{recording.name}: {note}" for recording in recordings for note in recording.notes)
     joints = len(robot.joints)
     most = most_samples(robot, seconds, largest) // joints // len(recordings)
@@ -70,6 +71,17 @@ def excerpts(
         if new is not old
     )
     return kept, (*repairs, *notes)
+
+
+def _repaired(robot: Robot, recording: Recording) -> Recording:
+    """The recording without pauses, without what is no measurement, and with the torques that act where their
+    readings are filtered; notes say what was done."""
+    recording = inspected(robot, without_pauses(recording))
+    lag = torque_lag(robot, recording)
+    if lag is None:
+        return recording
+    moved = advanced(recording, lag)
+    return replace(moved, notes=(*moved.notes, str(lag)))
 
 
 def _excerpt(robot: Robot, recording: Recording, most: int) -> Recording:

@@ -17,6 +17,7 @@ from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.verdict import held_out, verdict
 from flexjoint.diagnosis.verdict.reliability import by_simulation, followed
 from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
+from flexjoint.diagnosis.verdict.transients import with_pushes
 from flexjoint.diagnosis.verdict.unseen import Unseen, unseen
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
@@ -73,7 +74,9 @@ class StatedCase(SimulatedCase):
 
     @cached_property
     def left(self) -> tuple[Unexplained, ...]:
-        return unexplained_balances(self.selection.best, self.residuals)
+        best = self.selection.best
+        left = unexplained_balances(best, self.residuals)
+        return with_pushes(left, self.residuals, best.problem.readings.start, best.settings.verdict)
 
     @cached_property
     def explained(self) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flexjoint.diagnosis.result import Finding, Unexplained
+from flexjoint.diagnosis.result.wording import signal_name
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
@@ -31,10 +32,17 @@ def advice(
         extra = f"measure {own[0]} too" if own else "repeat the motion with a known payload"
         return f"To tell {_name(first.effect, first.joint)} from {rivals}: {extra}."
     if left:
-        worst = left[0]
+        # with a push in it, a recording shows what else there is only beside it
+        rigid = all(joint.rigid for joint in robot.joints)
+        worst = next((one for one in left if one.begin is not None), left[0])
+        if worst.begin is not None and worst.end is not None:
+            return (
+                f"Find out what pushed at {worst.joint} from {worst.begin:.1f} to {worst.end:.1f} s, and"
+                " record again without it; the recording without that stretch shows what else there is."
+            )
         return (
             f"Record slow and fast sweeps of {worst.joint} over its whole range: what is left of its"
-            f" {worst.balance} balance depends on {worst.against}."
+            f" {worst.balance} balance depends on {signal_name(worst.against, rigid)}."
         )
     if blind:
         joints = sorted({joint for _, joint in blind if joint is not None})

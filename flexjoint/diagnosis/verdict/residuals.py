@@ -16,6 +16,7 @@ from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned, Site
 
 FINER = 4  # times finer than the resolution of the recording, for a frequency
+NEIGHBOURS = ("q", "tau_t")  # signals of a neighbour that may leave a trace: a cable over two joints
 KNOTS = 8  # of the spline through which a residual is regressed on a signal
 
 
@@ -47,6 +48,10 @@ def residual_views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
             "tau_m_after": signals.tau_m_after,
             "t": signals.t,
         }
+        for k in (row.joint - 1, row.joint + 1):  # a cable over two joints
+            if 0 <= k < len(problem.robot.joints):
+                other = problem.robot.joints[k].name
+                axes |= {f"{name}.{other}": getattr(problem.signals(other), name) for name in NEIGHBOURS}
         axes = {name: x for name, x in axes.items() if name == "t" or np.ptp(x) > 0.0}
         out.append(ResidualView(joint.name, row.balance, signals.t, old, new, float(expected), axes))
     return tuple(out)
@@ -95,16 +100,16 @@ def depends_on(
         if float(np.ptp(x)) <= 0.0:
             continue
         design = smooth_curve(x)
-        share = _explained(residual, design)
+        share = explained_by(residual, design)
         if name == "t":
             # a motion that repeats itself oscillates, too: time must explain clearly more than its signals
-            share = max(share, _explained(residual, np.hstack([design, _line(residual, x)])) - oscillation)
+            share = max(share, explained_by(residual, np.hstack([design, _line(residual, x)])) - oscillation)
         if share > most:
             best, most = name, share
     return best
 
 
-def _explained(residual: np.ndarray, design: np.ndarray) -> float:
+def explained_by(residual: np.ndarray, design: np.ndarray) -> float:
     """R^2 of a regression of the residual on columns (N, k)."""
     fitted = design @ np.linalg.lstsq(design, residual, rcond=1e-9)[0]
     return 1.0 - float(np.sum((residual - fitted) ** 2)) / max(float(np.sum(residual**2)), 1e-300)

@@ -20,7 +20,7 @@ from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Remaining, Removed
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
 from flexjoint.diagnosis.verdict.held_out import held_out_blocks
-from flexjoint.diagnosis.verdict.residuals import smooth_curve
+from flexjoint.diagnosis.verdict.residuals import NEIGHBOURS, smooth_curve
 from flexjoint.effects import Planned, Signals, Site
 from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording
@@ -28,7 +28,6 @@ from flexjoint.robot.robot import Robot
 
 RIDGE = 1e-3  # of a curve's normal matrix, on its mean diagonal: corners that few samples visit stay flat
 THROUGH_TORQUE = (Site.COMMAND, Site.MOTOR, Site.LINK, Site.BODY)  # where effects change motor torque
-NEIGHBOURS = ("q", "tau_t")  # signals of a neighbour that may leave a trace: a cable over two joints
 
 
 @dataclass(frozen=True)

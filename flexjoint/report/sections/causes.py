@@ -56,6 +56,7 @@ class Cause:
 class CausesSection:
     causes: tuple[Cause, ...]
     possible: tuple[Cause, ...]  # more likely absent
+    disbelieved: str  # in one sentence; empty without any
     numbers: tuple[str, ...]  # how they were found, which are correlated, which are at a bound
 
 
@@ -65,6 +66,7 @@ def build(material: Material) -> CausesSection:
     return CausesSection(
         tuple(_cause(finding, material.joints) for finding in sentences.likely(diagnosis)),
         tuple(_cause(finding, material.joints) for finding in sentences.possible(diagnosis)),
+        sentences.disbelieved(diagnosis),
         tuple(line for line in said if line),
     )
 

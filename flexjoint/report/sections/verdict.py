@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from flexjoint.diagnosis.result import merit, sentences, torque
-from flexjoint.diagnosis.result.wording import capital, clean, percent, sentence
+from flexjoint.diagnosis.result.wording import capital, cause, clean, percent, sentence
 from flexjoint.report.material import Material
 
 
@@ -40,11 +40,23 @@ def build(material: Material) -> VerdictSection:
 
 
 def _torque(material: Material) -> tuple[Tile, ...]:
-    """Of the joint whose torque the nominal model gets wrong most."""
-    worst, joints = torque.most_wrong(material.diagnosis.remaining), material.joints
+    """Of the balance that the main cause clears; without a cause, of the joint that the nominal model gets
+    wrong most."""
+    diagnosis, joints = material.diagnosis, material.joints
+    main = next(iter(sentences.likely(diagnosis)), None)
+    removed = None if main is None else main.removed
+    of_cause = [r for r in diagnosis.remaining if removed is not None and r.joint == removed.joint]
+    if main is not None and removed is not None and (removed.balance != "motor" or not of_cause):
+        balance, where = torque.balance(removed.balance, joints), clean(removed.joint)
+        name = cause(main.effect, main.joint)
+        return (
+            Tile(joints.torque(removed.joint, removed.without), f"{balance} at {where}, without {name}"),
+            Tile(joints.torque(removed.joint, removed.left), f"{balance} there, with it", True),
+        )
+    worst = torque.most_wrong(of_cause or diagnosis.remaining)
     if worst is None:
         return ()
-    after = "with the causes" if material.diagnosis.findings else "nominal numbers within tolerance"
+    after = "with the causes" if diagnosis.findings else "nominal numbers within tolerance"
     return (
         Tile(
             joints.torque(worst.joint, worst.before), f"torque error at {clean(worst.joint)}, nominal model"
@@ -54,14 +66,23 @@ def _torque(material: Material) -> tuple[Tile, ...]:
 
 
 def _simulation(material: Material) -> tuple[Tile, ...]:
-    total = merit.overall(material.gain)
-    if total is None:
-        return ()
-    label = "error of the simulation, of the signals' standard deviation (NRMSE)"
-    value = percent(total.before)
-    if material.diagnosis.findings and not math.isnan(total.after):
-        value += f" → {percent(total.after)}"
+    """Of the signal in which the main cause shows; without a cause, of all together."""
+    main = next(iter(sentences.likely(material.diagnosis)), None)
+    moved = None if main is None else sentences.most_moved(main, material.gain)
+    if moved is not None and moved.after < moved.before:
+        before, after, floor = moved.before, moved.after, moved.floor
+        signal = f"{material.joints.signal(moved.channel)} at {clean(moved.joint)}"
+        label = f"error of {signal} in the simulation, of its standard deviation (NRMSE)"
+    else:
+        total = merit.overall(material.gain)
+        if total is None:
+            return ()
+        before, after, floor = total.before, total.after, total.floor
+        label = "error of the simulation, of the signals' standard deviation (NRMSE)"
+    value = percent(before)
+    if material.diagnosis.findings and not math.isnan(after):
+        value += f" → {percent(after)}"
     tiles = [Tile(value, label)]
-    if not math.isnan(total.floor):
-        tiles.append(Tile(percent(total.floor), "of it that sensor noise alone leaves"))
+    if not math.isnan(floor):
+        tiles.append(Tile(percent(floor), "of it that sensor noise alone leaves"))
     return tuple(tiles)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 from functools import cache
 from pathlib import Path
@@ -13,7 +15,10 @@ from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording, summary
 
 from flexjoint.diagnosis.pipeline import diagnose
-from flexjoint.diagnosis.result import Diagnosis, Finding, Fitted
+from flexjoint.diagnosis.result import Diagnosis, Finding, Fitted, Unexplained
+from flexjoint.diagnosis.result.values import to_json
+from flexjoint.diagnosis.verdict.experiment import advice
+from flexjoint.report import render
 from flexjoint.robot import robot
 
 MOTOR = SensorSet(channels=("theta", "tau_motor"))
@@ -90,3 +95,16 @@ def test_what_a_cause_removes_and_leaves_is_told_in_torque(rigid: Path) -> None:
 
 def test_a_healthy_rigid_machine_is_left_alone(rigid: Path) -> None:
     assert diagnosed(rigid).verdict == "healthy", summary(diagnosed(rigid))
+
+
+def test_springs_are_not_spoken_of(rigid: Path) -> None:
+    """Terminal, JSON, page, and what is advised where a leftover goes with the load."""
+    loaded = robot.load(rigid)
+    for cause in (("motor_viscous_friction", "coefficient", 0.62 * DAMPING), ()):
+        found = diagnosed(rigid, *cause)
+        recording = as_recording(plant(rigid, [], "rich", 4.0, 5, MOTOR, rate=RATE))
+        page = re.sub(r"<(script|style).*?</\1>|<[^>]+>", " ", render(found, loaded, recording), flags=re.S)
+        for said in (str(found), json.dumps(to_json(found)), page):
+            assert not re.search(r"(?<!cable )spring|deflection|\bphi\b", said), said
+    left = [Unexplained("swing", "motor", 0.5, "tau_t")]
+    assert "depends on load torque tau_t." in advice(loaded, recording, [], left, [])

@@ -15,6 +15,7 @@ from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection
+from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
 from flexjoint.diagnosis.verdict.review import notes, reviewed
 from flexjoint.effects import Planned, effect
 
@@ -54,6 +55,17 @@ def test_every_check_says_what_it_is() -> None:
     for check in EVERY:
         assert check.reason.endswith(".") and check.reason[0].isupper(), check.name
         assert check.limit(USUAL) > 0.0, check.name
+
+
+def test_no_friction_is_named_at_a_joint_that_never_moves() -> None:
+    rubbing = [effect("motor_coulomb_friction", joint, level=1.0) for joint in ("shoulder", "elbow")]
+    theta = np.stack([np.sin(np.arange(100.0)), np.full(100, 0.3)])
+    readings = SimpleNamespace(theta=theta, q=np.full((2, 100), np.nan))
+    problem = SimpleNamespace(readings=readings, robot=SimpleNamespace(joint_names=("shoulder", "elbow")))
+    best = SimpleNamespace(effects=(*rubbing, OFFSET), problem=problem, settings=USUAL)
+    case: Any = SimpleNamespace(selection=SimpleNamespace(best=best))
+    (objection,) = FrictionAtRest().objections(case)
+    assert objection.effect is rubbing[1] and "elbow never moves" in objection.why
 
 
 def test_a_set_that_was_changed_is_asked_again_from_the_first_check_on() -> None:

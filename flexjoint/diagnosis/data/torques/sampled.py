@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,12 +36,6 @@ class Sampled:
 def sampled(robot: Robot, recording: Recording, settings: DataSettings) -> Sampled | None:
     """The recording at instants that lie evenly among its samples; None where its torques cannot be told from
     its motion: a floating base, a joint of several axes, one without a position, no torque at all."""
-    joints = [name for name in robot.model.names if name != "universe"]
-    sides = {name: [c for c in ("q", "theta") if recording.has(c, name)] for name in joints}
-    there = [(c, name) for c in TORQUES for name in robot.joint_names if recording.has(c, name)]
-    one_axis = all(joint.nq == 1 and joint.nv == 1 for joint in list(robot.model.joints)[1:])
-    if robot.floating or not one_axis or not all(sides.values()) or not there:
-        return None
     last, count = recording.time.size - 1, settings.instants
     places = np.linspace(EDGE * last, (1.0 - EDGE) * last, count)
     at = np.interp(places, np.arange(last + 1), recording.time)
@@ -52,6 +46,19 @@ def sampled(robot: Robot, recording: Recording, settings: DataSettings) -> Sampl
         known = np.isfinite(values)
         return np.array(local_polynomial(recording.time[known], values[known], at, width))
 
+    return sampled_by(robot, recording, smoothed)
+
+
+def sampled_by(
+    robot: Robot, recording: Recording, smoothed: Callable[[str, str], np.ndarray]
+) -> Sampled | None:
+    """The recording with each channel of a joint as (3, M) by a function; None as of `sampled`."""
+    joints = [name for name in robot.model.names if name != "universe"]
+    sides = {name: [c for c in ("q", "theta") if recording.has(c, name)] for name in joints}
+    there = [(c, name) for c in TORQUES for name in robot.joint_names if recording.has(c, name)]
+    one_axis = all(joint.nq == 1 and joint.nv == 1 for joint in list(robot.model.joints)[1:])
+    if robot.floating or not one_axis or not all(sides.values()) or not there:
+        return None
     link = {name: smoothed(channels[0], name) for name, channels in sides.items()}
     motor = {
         name: smoothed("theta", name) if len(channels) > 1 else link[name] for name, channels in sides.items()

@@ -12,13 +12,19 @@ from flexjoint.diagnosis.verdict.checks.finer import FinerThanKnown
 from flexjoint.diagnosis.verdict.checks.improbable import Improbable
 from flexjoint.diagnosis.verdict.checks.known_name import KnownName
 from flexjoint.diagnosis.verdict.checks.shrunk import ShrunkLaw
+from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
 from flexjoint.diagnosis.verdict.checks.worse_simulation import WorseSimulation
 
 BALANCES: tuple[Check[Case], ...] = (ShrunkLaw(), ContradictedByABalance(), UncertainSize())
 NAMES: tuple[Check[Case], ...] = (KnownName(),)
 SIMULATION: tuple[Check[SimulatedCase], ...] = (WorseSimulation(),)
-FINDINGS: tuple[Check[StatedCase], ...] = (Improbable(), AbsentOnTheSimulation(), FinerThanKnown())
+FINDINGS: tuple[Check[StatedCase], ...] = (
+    FrictionAtRest(),
+    Improbable(),
+    AbsentOnTheSimulation(),
+    FinerThanKnown(),
+)
 EVERY: tuple[Check[Any], ...] = (*BALANCES, *NAMES, *SIMULATION, *FINDINGS)
 
 __all__ = ["BALANCES", "EVERY", "FINDINGS", "NAMES", "SIMULATION", "Check", "Objection"]
