@@ -86,6 +86,9 @@ def signal_order(effects: Iterable[Planned]) -> tuple[Planned, ...]:
     Sites come in the order of `Site`. At one site a dead time comes first (what follows acts on the late
     signal), then effects by name; among deflections a play comes last, because the error of the gear that
     takes it up comes before it. The simulator and the diagnosis both evaluate effects in this order."""
+    given = tuple(effects)
+    if len(given) < 2:
+        return given
     sites = list(Site)
 
     def place(e: Planned) -> tuple[object, ...]:
@@ -93,7 +96,7 @@ def signal_order(effects: Iterable[Planned]) -> tuple[Planned, ...]:
         same = repr(e.identity)  # one effect on two channels, or on two joints
         return sites.index(e.effect.site), not e.effect.overrides("delay"), play, e.effect.name, same
 
-    return tuple(sorted(effects, key=place))
+    return tuple(sorted(given, key=place))
 
 
 @cache

@@ -21,7 +21,7 @@ def left_by(best: Fit, nothing: Fit | None = None) -> tuple[Remaining, ...]:
     problem = best.problem
     after = _series(best)
     before = after if nothing is None else _series(nothing)
-    return remaining(in_views(View(problem, away(problem), before, after), best.effects))
+    return remaining(in_views(View(problem, away(problem), before, after), best.effects, singly=False))
 
 
 def _series(best: Fit) -> np.ndarray:
