@@ -1021,6 +1021,12 @@ class LearnSettings(Stage):
         "on unseen data, of the joint or of the robot, from which a law is dropped",
         "judgement",
     )
+    sure_simulation: float = number(
+        3.0,
+        "standard errors",
+        "by which the joint's simulated error (squared) must be less on unseen data, over blocks of time",
+        "theory: three standard deviations",
+    )
     part: float = number(
         0.5,
         "times the error foretold",

@@ -92,10 +92,6 @@ def judged(evidence: Evidence, law: Planned, stretches: Sequence[Foretold]) -> V
 
     before = np.concatenate([_by_block(squares(s.without, s), s.block) for s in stretches])
     after = np.concatenate([_by_block(squares(s.left, s), s.block) for s in stretches])
-    gained, whole = float(np.sum(before - after)), float(np.sum(before))
-    # the standard error of a ratio of sums over blocks that differ in size (Cochran 1977, section 2.11)
-    rest = before - after - gained / max(whole, 1e-300) * before
-    spread = float(np.sqrt(before.size / max(1.0, before.size - 1.0) * np.sum(rest**2)))
     first, last = (
         np.sqrt(np.mean(np.concatenate([x for x in series], axis=1) ** 2, axis=1))
         for series in ([s.without for s in stretches], [s.left for s in stretches])
@@ -118,11 +114,34 @@ def judged(evidence: Evidence, law: Planned, stretches: Sequence[Foretold]) -> V
     return Verdict(
         Removed(law.joint or "", where.balance, float(first[at]), float(last[at]), 0.0, signal_name),
         1.0 - float(last[at]) ** 2 / max(float(first[at]) ** 2, 1e-300),
-        gained / max(spread, 1e-300),
+        gained(before, after).sure,
         stretch,
         place,
         tuple((s.part, s.law) for s in stretches),
     )
+
+
+@dataclass(frozen=True)
+class Gained:
+    """The share of a squared error that is removed, with its standard error."""
+
+    share: float
+    std: float
+
+    @property
+    def sure(self) -> float:
+        """The share in its standard errors."""
+        return self.share / max(self.std, 1e-300)
+
+
+def gained(before: np.ndarray, after: np.ndarray) -> Gained:
+    """What becomes of squared errors (blocks,), summed over blocks of time. The standard error is that of a
+    ratio of sums over blocks that differ in size (Cochran 1977, section 2.11)."""
+    whole = max(float(np.sum(before)), 1e-300)
+    share = float(np.sum(before - after)) / whole
+    rest = before - after - share * before
+    spread = float(np.sqrt(before.size / max(1.0, before.size - 1.0) * np.sum(rest**2)))
+    return Gained(share, spread / whole)
 
 
 def _by_block(squares: np.ndarray, block: np.ndarray) -> np.ndarray:

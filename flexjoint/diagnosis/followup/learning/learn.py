@@ -103,7 +103,7 @@ def learn(
     found, notes = _learned(evidence, joints, budget, progress)
     kept, simulation = held(evidence, [one.verdict for one in found])
     notes += tuple(
-        f"a law of {one.choice.shape.law} was dropped: the simulation was worse with it"
+        f"a law of {one.choice.shape.law} was dropped: the simulation was not surely better with it"
         for one in found
         if one.verdict not in kept
     )

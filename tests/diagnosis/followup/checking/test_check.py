@@ -27,8 +27,7 @@ from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.result.known import Known
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned
-from flexjoint.recording.table import Recording
-from flexjoint.recording.table import read
+from flexjoint.recording.table import Recording, read
 from flexjoint.recording.table import write as write_recording
 from flexjoint.robot.robot import load, shipped_robots
 
