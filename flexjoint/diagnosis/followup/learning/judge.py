@@ -15,7 +15,7 @@ import numpy as np
 
 from flexjoint.diagnosis.followup.learning.evidence import Evidence, Part, read_time
 from flexjoint.diagnosis.followup.learning.places import worst_place
-from flexjoint.diagnosis.followup.learning.splines import signal_of
+from flexjoint.diagnosis.followup.learning.splines import followed, signals_of
 from flexjoint.diagnosis.result import Removed
 from flexjoint.diagnosis.verdict.unseen import left_beside
 from flexjoint.effects import Planned
@@ -32,7 +32,7 @@ class Foretold:
     law: Planned | None
     without: np.ndarray
     left: np.ndarray
-    signal: np.ndarray  # (N,) what the law of the whole follows
+    signals: np.ndarray  # (signals, N) what the law of the whole follows
     block: np.ndarray  # (N,) number of a block of time
 
 
@@ -72,8 +72,8 @@ def foretold(
         made = make(others)
         left = known[part] if made is None else left_beside(problem, [*base, made])
         block = (time[here] / problem.settings.regression.time_block).astype(int)
-        signal = signal_of(problem, law)[here]
-        out.append(Foretold(part, made, known[part][own][:, here], left[own][:, here], signal, block))
+        signals = signals_of(problem, law)[:, here]
+        out.append(Foretold(part, made, known[part][own][:, here], left[own][:, here], signals, block))
     return out
 
 
@@ -98,21 +98,19 @@ def judged(evidence: Evidence, law: Planned, stretches: Sequence[Foretold]) -> V
     )
     usual = np.sqrt(np.mean(deviation**2, axis=0))
     at = int(np.argmax((first - last) / np.maximum(last, usual)))
-    signal = np.concatenate([s.signal for s in stretches])
-    place = worst_place(
-        signal,
-        np.concatenate([s.without for s in stretches], axis=1),
-        np.concatenate([s.left for s in stretches], axis=1),
-        usual,
+    without, left = (
+        np.concatenate(series, axis=1)
+        for series in ([s.without for s in stretches], [s.left for s in stretches])
     )
+    signals = np.concatenate([s.signals for s in stretches], axis=1)
+    place = max(worst_place(signal, without, left, usual) for signal in signals)
     stretch = max(
         float(np.sqrt(_over(squares(s.left, s), squares(s.without, s), weight[s.part.recording] @ usual**2)))
         for s in stretches
     )
     where = problem.balances.rows[own[at]]
-    signal_name = str(law.values["signal"])
     return Verdict(
-        Removed(law.joint or "", where.balance, float(first[at]), float(last[at]), 0.0, signal_name),
+        Removed(law.joint or "", where.balance, float(first[at]), float(last[at]), 0.0, followed(law)[0]),
         1.0 - float(last[at]) ** 2 / max(float(first[at]) ** 2, 1e-300),
         gained(before, after).sure,
         stretch,

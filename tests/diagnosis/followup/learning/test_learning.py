@@ -31,8 +31,9 @@ PLANTED = {
     "hose": Planted("kinked_hose", JOINT, {"torque": 6.0, "angle": 0.2, "width": 0.1}),
     "spring": Planted("soft_centre", JOINT, {"stiffness": 200.0, "width": 0.01}),
     "friction": Planted("motor_coulomb_friction", JOINT, {"level": 3.0}),
+    "ripple": Planted("load_cogging", JOINT, {"share": 0.3, "cycles": 1.0, "phase": 0.0}),
 }
-HOSE, SPRING, FRICTION = PLANTED
+HOSE, SPRING, FRICTION, RIPPLE = PLANTED
 
 
 @cache
@@ -65,6 +66,28 @@ def test_a_law_of_no_catalogue_is_learned(planted: str, effect: str, signal: str
     assert all(gain.after["nrmse"][name] < gain.before["nrmse"][name] for name in gain.before["nrmse"])
     before, after = (unseen_error(d.extend(robot), planted) for d in (found, more))
     assert after < before / less
+
+
+def test_a_law_of_two_signals_is_learned_where_none_of_one_holds() -> None:
+    """The motor's torque constant changes with its angle: a product of the command and a law of theta."""
+    robot, recording, found, more = learned(RIPPLE)
+    assert more.learned is not None
+    (law,) = more.learned.laws
+    assert (law.effect, law.joint, {law.signal, law.other}) == ("learned_surface", JOINT, {"theta", "tau_m"})
+    assert law.share > 0.8 and 4.0 <= law.freedom <= 36.0
+    before, after = (unseen_error(d.extend(robot), RIPPLE) for d in (found, more))
+    assert after < before / 5.0
+    assert len(law.sections) == 3 and law.sections[1].value == pytest.approx(law.value)
+    text = str(more).replace("\n", " ")
+    assert "follows motor position theta and motor torque command tau_m" in text
+
+    from flexjoint import report
+
+    assert "with two standard errors as a band" in report.render(more, robot, recording)
+    jsonschema = pytest.importorskip("jsonschema")
+    content = json.loads(json.dumps(to_json(more)))
+    jsonschema.validate(content, schema("diagnosis"), cls=jsonschema.Draft202012Validator)
+    assert content["learned"]["laws"][0]["other"] == law.other
 
 
 def test_the_curve_is_the_planted_law_within_its_band() -> None:
@@ -222,7 +245,10 @@ def test_a_gain_counts_in_its_standard_errors_over_blocks() -> None:
 
 def test_every_law_and_signal_has_an_advice() -> None:
     laws = [e for e in catalogue().values() if not e.is_cause]
-    assert set(LOOK) == {(e.name, s) for e in laws for w in e.words for s in w.choices}
+    assert set(LOOK) == {(e.name, s) for e in laws if len(e.words) == 1 for s in e.words[0].choices}
+    (surface,) = (e for e in laws if len(e.words) == 2)
+    for word in surface.words:  # one of two signals has the advice of both
+        assert all(("learned_torque", signal) in LOOK for signal in word.choices)
 
 
 def test_lines_are_free_of_the_penalty() -> None:
