@@ -1049,7 +1049,7 @@ class CheckSettings(Stage):
         1500.0,
         "samples times joints a second",
         "of the recording that are looked at: a check is to take a twentieth of its length",
-        "machine: KR300, 6 to 10 % on a busy core; study: planted levers and gimbals, 1 to 4 %",
+        "machine: KR300, 9 to 11 % on a busy core; study: planted levers and gimbals, 1 to 4 %",
     )
     samples: int = number(
         200_000, "samples times joints", "that are looked at of any recording: half a gigabyte", "judgement"
@@ -1100,6 +1100,12 @@ class LearnSettings(Stage):
         "times the simulated error",
         "on unseen data, of the joint or of the robot, from which a law is dropped",
         "judgement",
+    )
+    sure_simulation: float = number(
+        3.0,
+        "standard errors",
+        "by which the joint's simulated error (squared) must be less on unseen data, over blocks of time",
+        "theory: three standard deviations",
     )
     part: float = number(
         0.5,

@@ -103,6 +103,7 @@ class Mjcf(Target):
         "joint_coupling": exact("the neighbour's actuator pulls a tendon of both hinges"),
         "learned_deflection": absent("MuJoCo's tendons are linear in the angles"),
         "learned_link_torque": absent("MuJoCo knows no table of a torque; apply it to qfrc_applied"),
+        "learned_surface": absent("MuJoCo knows no table of a torque; apply it to qfrc_applied"),
         "learned_torque": absent("MuJoCo knows no table of a torque; apply it to qfrc_applied"),
         "link_coulomb_friction": exact("frictionloss of the link's hinge"),
         "link_encoder_offset": absent("MuJoCo's sensors read true; add it to what you read"),

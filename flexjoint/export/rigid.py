@@ -39,7 +39,8 @@ FRICTION: Mapping[str, Way] = _all(
     "no such friction there",
 )
 FORCES: Mapping[str, Way] = _all(
-    "cable_spring end_stop learned_torque periodic_disturbance quadratic_drag", "no such force there"
+    "cable_spring end_stop learned_surface learned_torque periodic_disturbance quadratic_drag",
+    "no such force there",
 )
 BODIES: Mapping[str, Way] = _all("base_tilt motor_inertia payload", "bodies and gravity are not in that file")
 

@@ -69,11 +69,12 @@ def _moments(
     of the given order (0 or 1)."""
     rows = _rows(time, at, float(np.max(reach)))
     x = (time[rows] - at[:, None]) / reach[:, None]
-    powers = np.stack([np.ones_like(x), x, x**2, x**3], axis=-1)
+    one, square = np.ones_like(x), x * x
+    powers = np.stack([one, x, square, square * x], axis=1)
     if order:
-        powers = np.stack([np.zeros_like(x), np.ones_like(x), 2.0 * x, 3.0 * x**2], axis=-1)
-    weighted = powers * np.exp(-0.5 * np.minimum(np.abs(x), FAR) ** 2)[..., None]
-    return np.einsum("mki,mkj->mij", weighted, powers), np.einsum("mki,mk->mi", weighted, values[rows])
+        powers = np.stack([np.zeros_like(x), one, 2.0 * x, 3.0 * square], axis=1)
+    weighted = powers * np.exp(-0.5 * np.minimum(np.abs(x), FAR) ** 2)[:, None]
+    return weighted @ powers.transpose(0, 2, 1), (weighted @ values[rows][..., None])[..., 0]
 
 
 def noise(values: np.ndarray) -> float:

@@ -48,6 +48,7 @@ STYLE = {
 BUCKETS = 450
 POINTS = 1200
 DASHES = (4, 2)
+SECTION_LINES = (":", "-", "--")  # of a law of two signals: low, middle and high in the other
 MOST_TICKS = 12
 
 
@@ -210,13 +211,22 @@ def by_recording(number: Repeated, alt: str) -> Image:
 
 
 def law(learned: LearnedLaw, name: str, alt: str) -> Image:
-    """A learned law over its signal, with two standard errors as a band."""
+    """A learned law over its signal, with two standard errors as a band; one of two signals at several places
+    of the other."""
     with _styled():
         figure, axes = _axes(f"{name} [{learned.signal_unit}]", f"[{learned.unit}]")
         x, value, std = (np.array(v) for v in (learned.at, learned.value, learned.std))
         axes.axhline(0.0, color=RULE, linewidth=0.8)
-        axes.fill_between(x, value - 2.0 * std, value + 2.0 * std, color="#e4e7eb", linewidth=0)
-        axes.plot(x, value, color=AFTER, linewidth=1.6)
+        if not learned.sections:
+            axes.fill_between(x, value - 2.0 * std, value + 2.0 * std, color="#e4e7eb", linewidth=0)
+            axes.plot(x, value, color=AFTER, linewidth=1.6)
+        for one, dashes in zip(learned.sections, SECTION_LINES, strict=False):
+            value, std = np.array(one.value), np.array(one.std)
+            axes.fill_between(x, value - 2.0 * std, value + 2.0 * std, color="#e4e7eb", linewidth=0)
+            label = f"{learned.other} = {one.at:.3g} {learned.other_unit}"
+            axes.plot(x, value, color=AFTER, linewidth=1.4, linestyle=dashes, label=label)
+        if learned.sections:
+            axes.legend(frameon=False)
         axes.set_xlim(float(x[0]), float(x[-1]))
         return _image(figure, alt)
 

@@ -124,6 +124,11 @@ KINKS: dict[str, Callable[[Inputs], tuple[float, ...]]] = {
     "learned_deflection": lambda i: _ends(i, i.s.theta),
     "learned_link_torque": lambda i: _ends(i, i.s.q),
     "learned_torque": lambda i: _ends(i, i.s.dtheta / 2, 2),
+    "learned_surface": lambda i: (
+        *_ends(i, i.s.dtheta / 2, 2),
+        i.s.theta - i.p.other_start,
+        i.s.theta - (i.p.other_start + i.p.other_span),
+    ),
     "load_friction": lambda i: (i.s.tau_t / 20,),
     "quadratic_drag": lambda i: (i.s.dq / 2,),
     "spring_hysteresis": lambda i: (i.s.dphi / 0.5,),

@@ -42,6 +42,18 @@ def _learned(x: float, p: Any, coefficients: Any) -> float:
     return float(BSpline(knots, np.array(coefficients), 3)(np.clip(x, p.start, p.start + p.span)))
 
 
+def _surface(x: float, y: float, p: Any) -> float:
+    """A product of six splines of each of two signals."""
+    rows = np.reshape(p.torques, (6, 6))
+    along = [_six(y, p.other_start, p.other_span, row) for row in rows]
+    return _six(x, p.start, p.span, along)
+
+
+def _six(x: float, start: float, span: float, coefficients: Any) -> float:
+    knots = start + span / 3 * np.arange(-3, 7)
+    return float(BSpline(knots, np.array(coefficients), 3)(np.clip(x, start, start + span)))
+
+
 SHAPE = "start of the signal, span of the signal"
 
 
@@ -67,6 +79,10 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
     "learned_torque": (
         f"torques N m, {SHAPE}",
         {"torque": lambda i: _learned(i.s.dtheta, i.p, i.p.torques)},
+    ),
+    "learned_surface": (
+        f"torques N m, {SHAPE}, other_start of the other signal, other_span of the other signal",
+        {"torque": lambda i: _surface(i.s.dtheta, i.s.theta, i.p)},
     ),
     "learned_link_torque": (
         f"torques N m, {SHAPE}",

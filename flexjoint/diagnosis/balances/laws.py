@@ -182,7 +182,9 @@ class Laws:
     def sliding(self, effects: Sequence[Planned], signals: Signals) -> np.ndarray:
         """(N,) dry friction as far as what rubs moves, 0 elsewhere."""
         speed, rest = np.asarray(signals.dtheta), self.motion.readings.settings.balances.rest_speed
-        backward, forward = self.levels(dry(effects), signals, speed, rest)
+        rubbing = dry(effects)
+        states = [self.state(e, signals) for e in rubbing]
+        backward, forward = self.levels(rubbing, signals, speed, rest, states)
         return np.where(np.abs(speed) <= rest, 0.0, np.where(speed < 0.0, backward, -forward))
 
     def rubbing(
@@ -197,22 +199,28 @@ class Laws:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Spectrum of the effects' dry friction, and where it holds (dry_friction.py)."""
         limits = self.motion.readings.settings.balances
-        levels = self.levels(effects, signals, speed, limits.rest_speed)
+        states = [self.state(e, signals) for e in effects]
+        levels = self.levels(effects, signals, speed, limits.rest_speed, states)
         rest = self.friction.rest_speed(levels, inertia, noise)
         if rest < limits.rest_speed:
-            levels = self.levels(effects, signals, speed, rest)
+            levels = self.levels(effects, signals, speed, rest, states)
         return self.friction.spectrum(levels, speed, net, denoised_net, inertia, rest)
 
     def levels(
-        self, effects: Sequence[Planned], signals: Signals, speed: np.ndarray, rest: float
+        self,
+        effects: Sequence[Planned],
+        signals: Signals,
+        speed: np.ndarray,
+        rest: float,
+        states: Sequence[np.ndarray | float],
     ) -> np.ndarray:
-        """(2, N) levels of the effects' dry friction backward and forward: at rest the sign of the measured
-        speed is noise. Below the speed that the data resolve, the levels at that speed are taken."""
+        """(2, N) levels of the effects' dry friction in their `states`, backward and forward: at rest the
+        sign of the measured speed is noise. Below the speed that the data resolve, the levels at that speed
+        are taken."""
         resolved = np.maximum(np.abs(speed), rest)
         ways = [replace(signals, dtheta=v, dq=v) for v in (-resolved, resolved)]
         levels = np.zeros((2, speed.size))
-        for e in effects:
-            state = self.state(e, signals)
+        for e, state in zip(effects, states, strict=True):
             values = np.array([e.effect.level(going, e.p, state) * np.ones_like(speed) for going in ways])
             levels = levels + self.since(e, values, np.zeros_like(values))
         return levels

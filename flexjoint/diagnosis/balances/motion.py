@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import fft
+from scipy.linalg import lapack
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.diagnosis.signals.signals import Filter, Readings, make_filter
@@ -60,17 +61,46 @@ class Regressor:
 
 @dataclass(frozen=True)
 class Rigid:
-    """Rigid-body torques along the filtered motion and their sensitivities (small changes are multiplied by
-    these: single precision will do); n actuated joints."""
+    """Rigid-body torques along the filtered motion, and their sensitivities, evaluated when they are first
+    asked for; n actuated joints."""
 
     tau: np.ndarray  # (n, N)
-    by_q: np.ndarray  # (N, n, n) d tau / d q
-    by_v: np.ndarray  # (N, n, n)
-    mass: np.ndarray  # (N, n, n)
     regressor: Regressor
-    by_gravity: np.ndarray  # (3, n, N) torque per unit of gravity along each base axis
     inertial: np.ndarray  # (n, 10) nominal parameters of those bodies, known payloads left out
     gravity: np.ndarray  # (3,)
+    robot: Robot
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray]  # q (N, nq), v and a (N, nv), filtered
+
+    @property
+    def by_q(self) -> np.ndarray:
+        """(N, n, n) d tau / d q. Small changes are multiplied by it: single precision will do."""
+        return self._derivatives[0]
+
+    @property
+    def by_v(self) -> np.ndarray:
+        """(N, n, n) d tau / d q', likewise."""
+        return self._derivatives[1]
+
+    @property
+    def mass(self) -> np.ndarray:
+        """(N, n, n) mass matrices."""
+        return self._derivatives[2]
+
+    @cached_property
+    def by_gravity(self) -> np.ndarray:
+        """(3, n, N) torque per unit of gravity along each base axis."""
+        model, (at, v, _) = self.robot.model, self.motion
+        rows, still = [joint.idx_v for joint in self.robot.joints], np.zeros_like(v)
+        return np.stack(
+            [PinBody(model, gravity=axis).rnea_batch(at, still, still)[:, rows].T for axis in np.eye(3)]
+        )
+
+    @cached_property
+    def _derivatives(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rows = np.array([joint.idx_v for joint in self.robot.joints])
+        by_q, by_v, mass = PinBody(self.robot.model).rnea_derivatives_batch(*self.motion)
+        pick = np.ix_(np.arange(len(mass)), rows, rows)
+        return by_q[pick].astype(np.float32), by_v[pick].astype(np.float32), mass[pick]
 
 
 @dataclass(frozen=True)
@@ -196,25 +226,38 @@ def _driven_links(
     at, v, a = whole_motion(robot, window, q, passive, 0.25)
     h = window.period / DRIVEN_SUBSTEPS
     motor = np.stack([window.smooth_share(theta[joints], 0.25, order) for order in (0, 1)])
-    columns_q = [robot.joints[i].idx_q for i in joints]
-    columns_v = [robot.joints[i].idx_v for i in joints]
-    pick = np.ix_(columns_v, columns_v)
+    columns_q, columns_v = (
+        _columns([getattr(robot.joints[i], k) for i in joints]) for k in ("idx_q", "idx_v")
+    )
+    rows = columns_v if isinstance(columns_v, slice) else columns_v[:, None]
     place, speed = theta[joints, 0].copy(), np.zeros(len(joints))
     for _ in range(5):  # start from where the spring carries the load at rest
         at[0, columns_q] = place
         place = theta[joints, 0] - body.gravity_torque(at[0])[columns_v] / stiff
     give = 0.5 * h * stiff + damp
-    for k in range(window.count):
+    added = np.diag(0.5 * h * give)
+    # ten thousand steps of a few numbers each: what a step need not do shows
+    after = motor[:, :, np.minimum(np.arange(window.count) + 1, window.count - 1)]
+    middles = [motor + (after - motor) * (sub + 0.5) / DRIVEN_SUBSTEPS for sub in range(DRIVEN_SUBSTEPS)]
+    turned = np.stack([middle[0].T for middle in middles], axis=1)  # (N, substeps, joints)
+    dragged = np.stack([damp * middle[1].T for middle in middles], axis=1)
+    a[:, columns_v] = 0.0
+    for k, (here_q, here_v, here_a) in enumerate(zip(at, v, a, strict=True)):
         q[joints, k] = place
-        before, after = motor[:, :, k], motor[:, :, min(k + 1, window.count - 1)]
-        for sub in range(DRIVEN_SUBSTEPS):
-            middle = before + (after - before) * (sub + 0.5) / DRIVEN_SUBSTEPS
-            at[k, columns_q], v[k, columns_v], a[k, columns_v] = place + 0.5 * h * speed, speed, 0.0
-            bias = body.rnea(at[k], v[k], a[k])[columns_v]
-            mass = body.mass_matrix(at[k])[pick]
-            pull = stiff * (middle[0] - place) + damp * middle[1] - give * speed - bias
-            turn = np.linalg.solve(mass + np.diag(0.5 * h * give), pull)
+        for angle, drag in zip(turned[k], dragged[k], strict=True):
+            here_q[columns_q] = place + 0.5 * h * speed
+            here_v[columns_v] = speed
+            bias = body.rnea(here_q, here_v, here_a)[columns_v]
+            mass = body.mass_matrix(here_q)[rows, columns_v]
+            pull = stiff * (angle - place) + drag - give * speed - bias
+            turn = lapack.dgesv(mass + added, pull)[2]
             place, speed = place + h * (speed + 0.5 * h * turn), speed + h * turn
+
+
+def _columns(indices: list[int]) -> slice | np.ndarray:
+    """The indices of an array's entries; as a slice where they are successive, which is quicker to take."""
+    first, last = indices[0], indices[-1]
+    return slice(first, last + 1) if indices == list(range(first, last + 1)) else np.array(indices)
 
 
 def whole_motion(
@@ -241,8 +284,7 @@ def along(
     passive: dict[str, np.ndarray],
 ) -> Rigid:
     """Rigid-body torques and sensitivities along link angles q (n, N)."""
-    model, count = robot.model, window.count
-    body = PinBody(model)
+    body = PinBody(robot.model)
     rows = [joint.idx_v for joint in robot.joints]
 
     # RNEA(F q) differs from F RNEA(q) by a term in the window's variance. With shares 1/4 and 1/2 of the
@@ -254,25 +296,10 @@ def along(
         )
         for share in (0.25, 0.5)
     )
-    at, v, a = whole_motion(robot, window, q, passive, 1.0)
-    by_q, by_v, mass = body.rnea_derivatives_batch(at, v, a)
-    pick = np.ix_(np.arange(count), np.array(rows), np.array(rows))
-    still = np.zeros_like(v)
-    by_gravity = np.stack(
-        [PinBody(model, gravity=axis).rnea_batch(at, still, still)[:, rows].T for axis in np.eye(3)]
-    )
+    motion = whole_motion(robot, window, q, passive, 1.0)
     own = body.inertial if robot.own_inertial is None else robot.own_inertial
     inertial = own[[joint.pin_id - 1 for joint in robot.joints]]
-    return Rigid(
-        2.0 * quarter - half,
-        by_q[pick].astype(np.float32),
-        by_v[pick].astype(np.float32),
-        mass[pick],
-        Regressor(robot, at, v, a),
-        by_gravity,
-        inertial,
-        robot.gravity,
-    )
+    return Rigid(2.0 * quarter - half, Regressor(robot, *motion), inertial, robot.gravity, robot, motion)
 
 
 def mass_along(motion: Motion, inertial: np.ndarray, every: int) -> np.ndarray:

@@ -21,9 +21,9 @@ from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
 from flexjoint.diagnosis.regression import whitening
 from flexjoint.diagnosis.regression.nuisance import Columns
+from flexjoint.diagnosis.regression.recorded import Recorded
 from flexjoint.diagnosis.regression.whitening import Band
-from flexjoint.effects import Effect, Planned, Signals
-from flexjoint.model.joint import neighbours
+from flexjoint.effects import Planned
 
 LEVEL_ROUNDS = 12
 UNCORRELATED = 0.05  # a correlation below this counts as zero: it is estimated no better
@@ -61,7 +61,7 @@ class Moves:
         return self.change.nbytes + self.grams.nbytes
 
 
-class Problem:
+class Problem(Recorded):
     """A recording's regression problem: whitened residuals and their inner products, with the nominal model's
     tolerances marginalised, at one noise level (`level`; that of the predicted noise where none is given).
 
@@ -69,20 +69,11 @@ class Problem:
     (residuals, columns) is the same for any of them."""
 
     def __init__(self, balances: TwinBalances, level: NoiseLevel | None = None) -> None:
-        self.balances = balances
-        self.motion, self.robot = balances.motion, balances.motion.robot
-        self.readings = self.motion.readings
-        self.settings = self.readings.settings
-        self.torque_scale = balances.torque_scale()
+        super().__init__(balances)
         rows = self.balances.rows
-        scale = np.array([self.torque_scale[r.joint] for r in rows])
-        self.whitening = whitening.make(balances, scale, ())
         self.time = self.whitening.time
         self.samples = self.time.size * len(rows)
         self.freedom = self.time.size * self.whitening.freedom
-        self.nominal = tuple(self.robot.effects)
-        self._signals: dict[str | None, Signals] = {}
-        self._starts: dict[tuple[str, str | None], tuple[dict[str, float], ...]] = {}
         self._recent: LruCache[np.ndarray] = LruCache()
         self._moves: LruCache[Moves] = LruCache()
         self._columns = Columns(balances.denoised, self.whitening, self.readings)
@@ -305,11 +296,6 @@ class Problem:
         shaping = [e for e in self.nominal if whitening.shapes_noise(e, self.balances)]
         return [e for e in self.nominal if e.key not in replaced or e in shaping] + kept
 
-    def with_nominal(self, extra: Sequence[Planned]) -> list[Planned]:
-        """The nominal model's effects with these added; one that it lists already is replaced."""
-        keys = {e.key for e in extra}
-        return [e for e in self.nominal if e.key not in keys] + list(extra)
-
     # ------------------------------------------------------------------ inner products
     def pull(self, y: np.ndarray) -> np.ndarray:
         """(numbers,) J W y: half the gradient of the energy of a residual y in the nominal numbers."""
@@ -382,50 +368,9 @@ class Problem:
         return a - self.along(cho_solve(self._gram, self.across(a * self.squares).T).T)
 
     @property
-    def deviation(self) -> np.ndarray:
-        """(rows,) standard deviation that the sensors' noise has in each balance [N m]."""
-        return self.whitening.deviation
-
-    @property
     def noise_energy(self) -> float:
         """Energy that the predicted noise alone has at this noise level."""
         return float(np.sum(self.by_row)) * self.freedom / len(self.counted)
-
-    def starts(self, effect: Effect, joint: str | None) -> tuple[dict[str, float], ...]:
-        """From where an effect of a joint is looked for."""
-        key = effect.name, joint
-        if key not in self._starts:
-            self._starts[key] = effect.starts(self.signals(joint))
-        return self._starts[key]
-
-    def signals(self, joint: str | None) -> Signals:
-        """Measured signals of a joint on usable samples, as `Effect.starts` sees them."""
-        if joint not in self._signals:
-            self._signals[joint] = self._signals_of(joint)
-        return self._signals[joint]
-
-    def _signals_of(self, joint: str | None) -> Signals:
-        used, smooth = self.readings.valid, self.balances.filter.smooth
-        t = self.balances.chains.t[used]
-        if joint is None:
-            return Signals(t=t)
-        i = self.robot.joint_names.index(joint)
-        q, theta = self.motion.q[i], self.motion.theta[i]
-        torque = np.where(np.isfinite(self.readings.torque), self.readings.torque, 0.0)[:, used]
-        before, after = (x * np.ones(t.size) for x in neighbours(torque, i))
-        return Signals(
-            t=t,
-            q=q[used],
-            dq=smooth(q, 1)[used],
-            theta=theta[used],
-            dtheta=smooth(theta, 1)[used],
-            phi=(theta - q)[used],
-            dphi=smooth(theta - q, 1)[used],
-            tau_t=self.motion.rigid.tau[i][used],
-            tau_m=torque[i],
-            tau_m_before=before,
-            tau_m_after=after,
-        )
 
     # ------------------------------------------------------------------ nominal numbers
     def jumped(self, deviations: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from flexjoint.robot.robot import Robot, load
 
 Key = tuple[str, str | None]
 Made = TypeVar("Made")
+ROBUST = "robust search"  # the stage of the steps that it took
 LIKELY = 0.5  # probability from which a cause is taken to be there
 
 
@@ -34,6 +35,7 @@ class Known:
     remaining: Mapping[str, Remaining]
     source: str
     level: float | None = None
+    robust: bool = False
 
     @property
     def measured(self) -> bool:
@@ -108,7 +110,8 @@ def _of_diagnosis(content: Mapping[str, Any], robot: Robot, source: str) -> Know
         if joint not in robot.joint_names:
             raise unknown("joint", joint, robot.joint_names)
     level = content["level"]["after"] if "level" in content else None
-    return Known(robot, tuple(causes), frozenset(named), remaining, source, level)
+    robust = any(step["stage"] == ROBUST for step in content.get("trace", []))
+    return Known(robot, tuple(causes), frozenset(named), remaining, source, level, robust)
 
 
 def _numbers(given: Any) -> tuple[float, ...]:

@@ -23,9 +23,10 @@ from flexjoint.diagnosis.settings import USUAL
 
 NAMED = 3  # effects that are named on each side
 TITLE = "Laws without a name"
-NO_CAUSE = "Smooth laws of one signal through what no cause explains. They are no causes."
-NOTHING = "No law of one signal removes enough of what is left on data that it did not see."
+NO_CAUSE = "Smooth laws of one or two signals through what no cause explains. They are no causes."
+NOTHING = "No law of one or two signals removes enough of what is left on data that it did not see."
 PLACES = {
+    "learned_surface": "a torque on the motor",
     "learned_torque": "a torque on the motor",
     "learned_link_torque": "a torque on the link",
     "learned_deflection": "a deflection",
@@ -34,8 +35,11 @@ PLACES = {
 
 def name_of(law: LearnedLaw, joints: Joints) -> str:
     """What it is: a torque on the motor of elbow, of its speed."""
-    place = "a torque" if joints.rigid and law.effect == "learned_torque" else PLACES[law.effect]
-    return f"{place} at {clean(law.joint)} that follows {joints.signal(law.signal)}"
+    place = PLACES[law.effect]
+    if joints.rigid and place == PLACES["learned_torque"]:
+        place = "a torque"
+    both = f" and {joints.signal(law.other)}" if law.other else ""
+    return f"{place} at {clean(law.joint)} that follows {joints.signal(law.signal)}{both}"
 
 
 def removed_line(law: LearnedLaw, joints: Joints) -> str:

@@ -285,13 +285,24 @@ class Likeness:
 
 
 @dataclass(frozen=True)
+class Section:
+    """A law of two signals where the other signal is `at`: `value` (M,) with standard errors `std` (M,) at
+    the places of the law's own curve."""
+
+    at: float
+    value: tuple[float, ...]
+    std: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class LearnedLaw:
-    """A smooth law of one signal through what no cause explains; it is no cause. `planned` is the effect as
-    the extended model holds it, with the standard errors of its coefficients.
+    """A smooth law of one signal, or two, through what no cause explains; it is no cause. `planned` is the
+    effect as the extended model holds it, with the standard errors of its coefficients.
 
     The curve is `value` (M,) with standard errors `std` (M,) in `unit` at `at` (M,) of the signal in
     `signal_unit`. `removed` is what it removes on data that its fit did not see, `share` the same as a share
-    of the squared error, noise included."""
+    of the squared error, noise included. A law of two signals follows the `other`, too, in `other_unit`: its
+    curve is that at the middle of the other's range, and `sections` are more of them."""
 
     effect: str
     joint: str
@@ -307,6 +318,9 @@ class LearnedLaw:
     share: float
     alike: tuple[Likeness, ...]  # the closest first
     advice: str  # what to look at; a sentence without its end
+    other: str = ""
+    other_unit: str = ""
+    sections: tuple[Section, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -429,6 +443,9 @@ def _learned(learned: Learned) -> dict[str, Any]:
                 "share": law.share,
                 "alike": [asdict(one) for one in law.alike],
                 "advice": law.advice,
+                "other": law.other or None,
+                "other_unit": law.other_unit or None,
+                "sections": [asdict(one) for one in law.sections],
             }
             for law in learned.laws
         ],

@@ -26,6 +26,7 @@ from flexjoint.diagnosis.balances.motion import reconstruct
 from flexjoint.diagnosis.comparison.compare import compared
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
+from flexjoint.diagnosis.regression.recorded import Recorded
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, supported
 from flexjoint.diagnosis.search.scan import Scanner
@@ -98,7 +99,7 @@ def search_robustly(
 ) -> RobustFinding | None:
     """The selection with further causes that the simulation confirms, where the usual search left errors
     unexplained. None: there are none, or the recording cannot drive a simulation."""
-    here = _blunted(robot, recording, problem, selection.best)
+    here = blunted(robot, recording, problem, selection.best.effects)
     # at other joints the usual search had the same data
     usual = problem.settings.robust_search.disagreeing * problem.readings.noise["q"]
     denied = np.flatnonzero(here.readings.noise["q"] > usual).tolist()
@@ -247,11 +248,11 @@ def _on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> Fit:
     return best
 
 
-def _blunted(robot: Robot, recording: Recording, first: Problem, best: Fit) -> Problem:
-    """The recording's problem with link encoders whose noise is as large as what the motors' balances leave,
-    divided by the stiffness."""
+def blunted(robot: Robot, recording: Recording, first: Recorded, effects: Sequence[Planned]) -> Problem:
+    """The recording's problem with link encoders whose noise is as large as what the motors' balances leave
+    beside these effects, divided by the stiffness."""
     balances, readings = first.balances, first.readings
-    residual = balances.residual(first.with_nominal(best.effects))
+    residual = balances.residual(first.with_nominal(effects))
     noise = np.array(readings.noise["q"], dtype=float)
     for row, series in zip(balances.rows, balances.time_series(residual), strict=True):
         joint = robot.joints[row.joint]

@@ -17,6 +17,7 @@ from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances, balance
 from flexjoint.diagnosis.regression.deviations import converged_deviations, deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, fit, nominal_deviations
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
+from flexjoint.diagnosis.regression.recorded import Recorded
 from flexjoint.diagnosis.result import Remaining, Removed
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
 from flexjoint.diagnosis.verdict.held_out import held_out_blocks
@@ -35,7 +36,7 @@ class View:
     """Filtered residuals [N m] of all balances on usable samples, by sets of causes: along one motion, beside
     one set of nominal numbers."""
 
-    problem: Problem
+    problem: Recorded
     away: np.ndarray  # (N,) bool: samples that the fits did not see
     before: np.ndarray  # (rows, N) of the nominal model
     after: np.ndarray  # of the whole set
@@ -79,10 +80,11 @@ def unseen(best: Fit, nothing: Fit) -> Unseen:
     return in_views(corrected, effects)
 
 
-def in_views(corrected: View, effects: Sequence[Planned]) -> Unseen:
-    """What effects leave in the view with corrected nominal numbers, and in others."""
+def in_views(corrected: View, effects: Sequence[Planned], singly: bool = True) -> Unseen:
+    """What effects leave in the view with corrected nominal numbers, and in others; there also without each
+    of them, unless not `singly`."""
     problem = corrected.problem
-    plain = _uncorrected(problem, effects)
+    plain = _uncorrected(problem, effects, singly)
     views = [corrected, plain]
     names = [
         joint.name
@@ -90,10 +92,11 @@ def in_views(corrected: View, effects: Sequence[Planned]) -> Unseen:
         if not joint.rigid and np.isfinite([problem.readings.q[j, 0], problem.readings.theta[j, 0]]).all()
     ]
     of_joint = _least(views, problem.robot.joint_names)
-    left = {joint.joint for joint in beyond_background(_remaining(of_joint), problem.settings.verdict)}
+    left = {joint.joint for joint in beyond_background(_remaining(of_joint, False), problem.settings.verdict)}
     if left.intersection(names):
         motors = _along_motors(problem, left.intersection(names))
-        views.append(_uncorrected(motors, [e for e in effects if e.effect.site in THROUGH_TORQUE]))
+        acting = [e for e in effects if e.effect.site in THROUGH_TORQUE]
+        views.append(_uncorrected(motors, acting, singly))
         of_joint = _least(views, problem.robot.joint_names)
     return Unseen(tuple(effects), tuple(views), of_joint)
 
@@ -103,11 +106,14 @@ def _least(views: Sequence[View], joints: Sequence[str]) -> dict[str, View]:
 
 
 def _view(
-    problem: Problem,
+    problem: Recorded,
     effects: Sequence[Planned],
     before: np.ndarray,
     left: Callable[[Sequence[Planned]], np.ndarray],
+    singly: bool = True,
 ) -> View:
+    if not singly:
+        return View(problem, away(problem), before, left(effects))
     rubbing = dict.fromkeys(str(e.joint) for e in effects if e.effect.ordinary)
     return View(
         problem,
@@ -122,19 +128,19 @@ def _view(
     )
 
 
-def _uncorrected(problem: Problem, effects: Sequence[Planned]) -> View:
+def _uncorrected(problem: Recorded, effects: Sequence[Planned], singly: bool) -> View:
     def left(some: Sequence[Planned]) -> np.ndarray:
         return uncorrected(problem, some)
 
-    return _view(problem, effects, left([]), left)
+    return _view(problem, effects, left([]), left, singly)
 
 
-def _along_motors(problem: Problem, joints: Collection[str]) -> Problem:
+def _along_motors(problem: Recorded, joints: Collection[str]) -> Recorded:
     """The same recording without the link encoders of some joints: the links follow the motors through the
     model's springs."""
     recording = problem.readings.recording
     columns = {key: x for key, x in recording.columns.items() if not (key[0] == "q" and key[1] in joints)}
-    return Problem(balances_of(problem.robot, replace(recording, columns=columns), problem.settings))
+    return Recorded(balances_of(problem.robot, replace(recording, columns=columns), problem.settings))
 
 
 def unseen_problem(problem: Problem) -> Problem:
@@ -147,7 +153,7 @@ def unseen_problem(problem: Problem) -> Problem:
     return problem
 
 
-def away(problem: Problem) -> np.ndarray:
+def away(problem: Recorded) -> np.ndarray:
     """(N,) bool: usable samples that a fit of `unseen_problem` does not see; every second one of a recording
     that is too short for blocks."""
     blocks = held_out_blocks(problem.balances.chains.t, problem.settings.verdict.held_out_block)
@@ -170,7 +176,7 @@ def joint_left(fitted: Fit, joint: str) -> tuple[float, tuple[float, ...]]:
     return min(found, key=lambda one: one[0])
 
 
-def uncorrected(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
+def uncorrected(problem: Recorded, effects: Sequence[Planned]) -> np.ndarray:
     """(rows, N) what effects leave beside the nominal numbers as they are, about its mean where encoder
     offsets are free."""
     left = _of(problem, problem.with_nominal(effects))
@@ -179,7 +185,7 @@ def uncorrected(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
     return left
 
 
-def joint_uncorrected(problem: Problem, effects: Sequence[Planned], joint: str) -> float:
+def joint_uncorrected(problem: Recorded, effects: Sequence[Planned], joint: str) -> float:
     """[N m] RMS of that in a joint's torque, on the blocks that a fit of `unseen_problem` does not see."""
     left = uncorrected(problem, effects)[:, away(problem)]
     total = _total(problem.balances, left, problem.robot.joint_names.index(joint))
@@ -207,7 +213,7 @@ def _nominal(nothing: Fit) -> np.ndarray:
     return _of(problem, [*problem.nominal, *offsets])
 
 
-def _of(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
+def _of(problem: Recorded, effects: Sequence[Planned]) -> np.ndarray:
     balances = problem.balances
     return np.asarray(balances.time_series(balances.residual(effects))[:, problem.readings.valid])
 
@@ -215,7 +221,7 @@ def _of(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
 def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL) -> dict[str, float]:
     """RMS [N m], by joint, of the measured motor torque minus what the model needs for the measured motion,
     on all usable samples; about its mean where encoder offsets are free. No number is corrected."""
-    problem = Problem(balances_of(robot, with_torques(robot, recording), settings))
+    problem = Recorded(balances_of(robot, with_torques(robot, recording), settings))
     left = uncorrected(problem, [])
     totals = {name: _total(problem.balances, left, j) for j, name in enumerate(robot.joint_names)}
     return {name: float(np.sqrt(np.mean(x**2))) for name, x in totals.items() if x is not None}
@@ -298,7 +304,8 @@ def remaining(data: Unseen) -> tuple[Remaining, ...]:
     return _remaining(data.of_joint)
 
 
-def _remaining(of_joint: Mapping[str, View]) -> tuple[Remaining, ...]:
+def _remaining(of_joint: Mapping[str, View], shapes: bool = True) -> tuple[Remaining, ...]:
+    """The same; without `shapes` no joint's has one, as these take long to find."""
     noises: dict[int, list[float]] = {}
     out = []
     for joint, view in of_joint.items():
@@ -308,7 +315,7 @@ def _remaining(of_joint: Mapping[str, View]) -> tuple[Remaining, ...]:
             continue
         if id(problem) not in noises:
             noises[id(problem)] = _noise(problem)
-        share, against = shape(view, after, joint)
+        share, against = shape(view, after, joint) if shapes else (0.0, "t")
         left = float(np.sqrt(np.mean(after[view.away] ** 2)))
         out.append(
             Remaining(
@@ -330,7 +337,7 @@ def _total(balances: Balances, series: np.ndarray, j: int) -> np.ndarray | None:
     return np.sum(series[rows], axis=0) if rows else None
 
 
-def _noise(problem: Problem) -> list[float]:
+def _noise(problem: Recorded) -> list[float]:
     """RMS [N m] that the sensors' noise has in each joint's torque error."""
     balances, readings = problem.balances, problem.readings
     nominal = list(problem.nominal)
@@ -430,7 +437,7 @@ def shape(data: View, series: np.ndarray, joint: str) -> tuple[float, str]:
     return most, best
 
 
-def signals(problem: Problem, joint: str) -> Mapping[str, np.ndarray]:
+def signals(problem: Recorded, joint: str) -> Mapping[str, np.ndarray]:
     """(N,) signals that an error of a joint may depend on: its own, its neighbours' positions and loads."""
     names = problem.robot.joint_names
     at = names.index(joint)

@@ -13,16 +13,18 @@ import numpy as np
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.core.running.worker_pool import one_thread
-from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.balances.balances import TwinBalances, balances_of
 from flexjoint.diagnosis.balances.usable import refusal
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.followup.checking import left, numbers
 from flexjoint.diagnosis.followup.checking.values import Check, CheckedCause, CheckedJoint
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.regression.recorded import Recorded
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.result.known import Against, Known, known_of
 from flexjoint.diagnosis.search.candidates import Candidate, visible
+from flexjoint.diagnosis.search.robust_search import blunted
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.effects import Planned
@@ -62,7 +64,7 @@ def check(
     unusable = refusal(balances)
     if unusable:
         raise RecordingError(f"{recording.name} cannot be checked: {unusable}")
-    problem = Problem(balances)
+    problem = _problem(known, part, balances)
     shown = replace(known, causes=tuple(e for e in known.causes if shows(problem, e)))
     best = refitted(problem, shown)
     without = None if known.measured else left.without(best)
@@ -96,6 +98,13 @@ def _looked_at(robot: Robot, recording: Recording, settings: Settings) -> tuple[
     most = int(min(settings.check.samples, settings.check.samples_a_second * recording.duration))
     (part,), notes = excerpts(robot, [recording], largest=most, work="a check")
     return part, notes
+
+
+def _problem(known: Known, recording: Recording, balances: TwinBalances) -> Problem:
+    """What the known causes are fitted to: the balances in which they were found."""
+    if not known.robust:
+        return Problem(balances)
+    return blunted(known.robot, recording, Recorded(balances), known.causes)
 
 
 def shows(problem: Problem, cause: Planned) -> bool:

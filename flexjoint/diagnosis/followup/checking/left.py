@@ -21,7 +21,7 @@ def left_by(best: Fit, nothing: Fit | None = None) -> tuple[Remaining, ...]:
     problem = best.problem
     after = _series(best)
     before = after if nothing is None else _series(nothing)
-    return remaining(in_views(View(problem, away(problem), before, after), best.effects))
+    return remaining(in_views(View(problem, away(problem), before, after), best.effects, singly=False))
 
 
 def _series(best: Fit) -> np.ndarray:
@@ -39,10 +39,12 @@ def without(best: Fit) -> Fit:
     return fit(best.problem, ())
 
 
-def levels(best: Fit) -> dict[str, float]:
+def levels(best: Fit, together: bool = False) -> dict[str, float]:
     """By joint: the whitened variance that is left of its balances, in that of the sensors' noise, where
-    nominal numbers are plausible."""
+    nominal numbers are plausible; `together`: the mean of all."""
     problem = best.problem
+    if together:
+        return dict.fromkeys(problem.robot.joint_names, float(np.mean(problem.level.inflation)))
     own: dict[str, list[float]] = {}
     for row, variance in zip(problem.balances.rows, problem.level.inflation, strict=True):
         own.setdefault(problem.robot.joint_names[row.joint], []).append(float(variance))
@@ -61,7 +63,8 @@ def grown(known: Known, best: Fit, now: Sequence[Remaining]) -> dict[str, str]:
     out = {}
     if known.level is not None:
         most = settings.check.level * max(1.0, known.level)
-        for joint, level in levels(best).items():
+        # where each joint has a level of its own, a joint's own may be far above the mean that is known
+        for joint, level in levels(best, together=known.robust).items():
             if level > most:
                 out[joint] = (
                     f"what is left has {level:.3g} times the variance of its sensors' noise,"

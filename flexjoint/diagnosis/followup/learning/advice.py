@@ -44,6 +44,9 @@ LOOK = {
 }
 
 
-def advice(effect: str, signal: str) -> str:
+def advice(effect: str, signal: str, other: str = "") -> str:
     """A sentence without its end."""
+    if other:
+        first, second = (LOOK["learned_torque", name] for name in (signal, other))
+        return f"look at {first}; and, as it takes both signals, at {second}"
     return f"look at {LOOK[effect, signal]}"

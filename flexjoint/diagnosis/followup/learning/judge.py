@@ -15,7 +15,7 @@ import numpy as np
 
 from flexjoint.diagnosis.followup.learning.evidence import Evidence, Part, read_time
 from flexjoint.diagnosis.followup.learning.places import worst_place
-from flexjoint.diagnosis.followup.learning.splines import signal_of
+from flexjoint.diagnosis.followup.learning.splines import followed, signals_of
 from flexjoint.diagnosis.result import Removed
 from flexjoint.diagnosis.verdict.unseen import left_beside
 from flexjoint.effects import Planned
@@ -32,7 +32,7 @@ class Foretold:
     law: Planned | None
     without: np.ndarray
     left: np.ndarray
-    signal: np.ndarray  # (N,) what the law of the whole follows
+    signals: np.ndarray  # (signals, N) what the law of the whole follows
     block: np.ndarray  # (N,) number of a block of time
 
 
@@ -72,8 +72,8 @@ def foretold(
         made = make(others)
         left = known[part] if made is None else left_beside(problem, [*base, made])
         block = (time[here] / problem.settings.regression.time_block).astype(int)
-        signal = signal_of(problem, law)[here]
-        out.append(Foretold(part, made, known[part][own][:, here], left[own][:, here], signal, block))
+        signals = signals_of(problem, law)[:, here]
+        out.append(Foretold(part, made, known[part][own][:, here], left[own][:, here], signals, block))
     return out
 
 
@@ -92,37 +92,54 @@ def judged(evidence: Evidence, law: Planned, stretches: Sequence[Foretold]) -> V
 
     before = np.concatenate([_by_block(squares(s.without, s), s.block) for s in stretches])
     after = np.concatenate([_by_block(squares(s.left, s), s.block) for s in stretches])
-    gained, whole = float(np.sum(before - after)), float(np.sum(before))
-    # the standard error of a ratio of sums over blocks that differ in size (Cochran 1977, section 2.11)
-    rest = before - after - gained / max(whole, 1e-300) * before
-    spread = float(np.sqrt(before.size / max(1.0, before.size - 1.0) * np.sum(rest**2)))
     first, last = (
         np.sqrt(np.mean(np.concatenate([x for x in series], axis=1) ** 2, axis=1))
         for series in ([s.without for s in stretches], [s.left for s in stretches])
     )
     usual = np.sqrt(np.mean(deviation**2, axis=0))
     at = int(np.argmax((first - last) / np.maximum(last, usual)))
-    signal = np.concatenate([s.signal for s in stretches])
-    place = worst_place(
-        signal,
-        np.concatenate([s.without for s in stretches], axis=1),
-        np.concatenate([s.left for s in stretches], axis=1),
-        usual,
+    without, left = (
+        np.concatenate(series, axis=1)
+        for series in ([s.without for s in stretches], [s.left for s in stretches])
     )
+    signals = np.concatenate([s.signals for s in stretches], axis=1)
+    place = max(worst_place(signal, without, left, usual) for signal in signals)
     stretch = max(
         float(np.sqrt(_over(squares(s.left, s), squares(s.without, s), weight[s.part.recording] @ usual**2)))
         for s in stretches
     )
     where = problem.balances.rows[own[at]]
-    signal_name = str(law.values["signal"])
     return Verdict(
-        Removed(law.joint or "", where.balance, float(first[at]), float(last[at]), 0.0, signal_name),
+        Removed(law.joint or "", where.balance, float(first[at]), float(last[at]), 0.0, followed(law)[0]),
         1.0 - float(last[at]) ** 2 / max(float(first[at]) ** 2, 1e-300),
-        gained / max(spread, 1e-300),
+        gained(before, after).sure,
         stretch,
         place,
         tuple((s.part, s.law) for s in stretches),
     )
+
+
+@dataclass(frozen=True)
+class Gained:
+    """The share of a squared error that is removed, with its standard error."""
+
+    share: float
+    std: float
+
+    @property
+    def sure(self) -> float:
+        """The share in its standard errors."""
+        return self.share / max(self.std, 1e-300)
+
+
+def gained(before: np.ndarray, after: np.ndarray) -> Gained:
+    """What becomes of squared errors (blocks,), summed over blocks of time. The standard error is that of a
+    ratio of sums over blocks that differ in size (Cochran 1977, section 2.11)."""
+    whole = max(float(np.sum(before)), 1e-300)
+    share = float(np.sum(before - after)) / whole
+    rest = before - after - share * before
+    spread = float(np.sqrt(before.size / max(1.0, before.size - 1.0) * np.sum(rest**2)))
+    return Gained(share, spread / whole)
 
 
 def _by_block(squares: np.ndarray, block: np.ndarray) -> np.ndarray:

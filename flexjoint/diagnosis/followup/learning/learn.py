@@ -1,16 +1,18 @@
-"""Laws without a name: what the likely causes leave, followed by a smooth law of one signal.
+"""Laws without a name: what the likely causes leave, followed by a smooth law of one signal or two.
 
 A finished diagnosis is taken as it is, and never changed. At joints at which an error is left, laws of one
 signal compete (splines.py), each foretelling parts of time that were left out of its own fit; the best of
 them also over a half, a quarter and an eighth of its range at either end. All of that is then repeated
 without one stretch of time after another, which is foretold and simulated, and a law is kept where that is
-better (judge.py, simulation.py). Its numbers come from the whole of the recordings.
+better (judge.py, simulation.py). Its numbers come from the whole of the recordings. Where no law of one
+signal is kept, those of two are tried.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -26,6 +28,7 @@ from flexjoint.diagnosis.followup.learning.simulation import held
 from flexjoint.diagnosis.followup.learning.splines import (
     PARTS,
     POINTS,
+    SECTIONS,
     Choice,
     Fitted,
     Shape,
@@ -33,11 +36,13 @@ from flexjoint.diagnosis.followup.learning.splines import (
     coefficients,
     coefficients_of,
     fitted,
+    followed,
     part_of,
+    ranges_of,
     shape_of,
 )
 from flexjoint.diagnosis.regression.problem import Problem
-from flexjoint.diagnosis.result import LEAST, Diagnosis, Learned, LearnedLaw, Likeness
+from flexjoint.diagnosis.result import LEAST, Diagnosis, Learned, LearnedLaw, Likeness, Section
 from flexjoint.diagnosis.search.candidates import Candidate, visible
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
@@ -64,8 +69,8 @@ def learn(
     budget: Budget = UNLIMITED,
     progress: Report = silent,
 ) -> Diagnosis:
-    """The diagnosis with what was `learned`: laws of one signal of a joint through what its likely causes
-    leave, each kept only where it holds on data that it did not see. Nothing else of it changes;
+    """The diagnosis with what was `learned`: laws of one or two signals of a joint through what its likely
+    causes leave, each kept only where it holds on data that it did not see. Nothing else of it changes;
     `Diagnosis.extend` then puts the laws into the model, too.
 
     Args:
@@ -103,7 +108,7 @@ def learn(
     found, notes = _learned(evidence, joints, budget, progress)
     kept, simulation = held(evidence, [one.verdict for one in found])
     notes += tuple(
-        f"a law of {one.choice.shape.law} was dropped: the simulation was worse with it"
+        f"a law of {one.choice.shape.law} was dropped: the simulation was not surely better with it"
         for one in found
         if one.verdict not in kept
     )
@@ -170,13 +175,16 @@ class _Search:
         return [*self.evidence.causes, *self.laws]
 
     def law(self) -> _Kept | None:
-        """The best law, if it is good enough."""
+        """The best law of one signal, if it is good enough; else the best of two, if that is."""
+        return self._best(1) or self._best(2)
+
+    def _best(self, signals: int) -> _Kept | None:
         problems = self.evidence.problems
         taken = {e.key for e in problems[0].with_nominal(self.base)}
         ys = self.evidence.residuals(self.base)
         shapes = [
             shape
-            for candidate in _candidates(problems[0], self.joint)
+            for candidate in _candidates(problems[0], self.joint, signals)
             if candidate.key not in taken
             if (shape := shape_of(problems, candidate, self.base, self.evidence.limits)) is not None
         ]
@@ -224,7 +232,9 @@ class _Search:
         return best if best.foretold < 1.0 else None
 
     def _nearer(self, shape: Shape) -> list[Shape]:
-        name = f"{shape.law.effect.name} {shape.law.values['signal']}"
+        if len(shape.law.effect.words) > 1:
+            return []
+        name = " ".join(_follows(shape.law))
         if name not in self.nearer:
             parts = [part_of(self.evidence.problems, shape, part, self.base) for part in PARTS]
             self.nearer[name] = [part for part in parts if part is not None]
@@ -262,9 +272,9 @@ class _Search:
         return _Kept(choice, law, verdict)
 
 
-def _follows(law: Planned) -> tuple[str, str]:
-    """What sort of law it is: an effect, and its signal."""
-    return law.effect.name, str(law.values["signal"])
+def _follows(law: Planned) -> tuple[str, ...]:
+    """What sort of law it is: an effect, and its signals."""
+    return law.effect.name, *followed(law)
 
 
 # ------------------------------------------------------------------ what is said
@@ -286,17 +296,21 @@ def _stated(evidence: Evidence, kept: Sequence[_Kept]) -> tuple[LearnedLaw, ...]
 
 def _law(evidence: Evidence, one: _Kept, final: Fitted, alike: tuple[Likeness, ...]) -> LearnedLaw:
     law = final.law
-    joint, signal = law.joint or "", dict(law.values)["signal"]
+    joint, (signal, *others) = law.joint or "", followed(law)
     at, value, std = final.curve(POINTS)
     size = coefficients_of(law)
     sliding = joint in evidence.robots[0].prismatic
+
+    def unit(of: str) -> str:
+        return replace(size, unit=UNITS.get(of, "rad")).unit_at(sliding)
+
     return LearnedLaw(
         law.effect.name,
         joint,
         signal,
         law,
         tuple(at.tolist()),
-        replace(size, unit=UNITS.get(signal, "rad")).unit_at(sliding),
+        unit(signal),
         tuple(value.tolist()),
         tuple(std.tolist()),
         size.unit_at(sliding),
@@ -304,19 +318,32 @@ def _law(evidence: Evidence, one: _Kept, final: Fitted, alike: tuple[Likeness, .
         one.verdict.removed,
         one.verdict.share,
         alike,
-        advice(law.effect.name, signal),
+        advice(law.effect.name, signal, *others),
+        "".join(others),
+        "".join(unit(other) for other in others),
+        tuple(_section(final, share) for share in SECTIONS) if others else (),
     )
 
 
-def _candidates(problem: Problem, joint: str) -> list[Candidate]:
-    """Every learned law, of every signal, that the sensors of this recording could show at a joint."""
+def _section(final: Fitted, share: float) -> Section:
+    """A law of two signals where the other is at a share of its range."""
+    _, (start, span) = ranges_of(final.law)
+    _, value, std = final.curve(POINTS, share)
+    return Section(start + share * span, tuple(value.tolist()), tuple(std.tolist()))
+
+
+def _candidates(problem: Problem, joint: str, signals: int) -> list[Candidate]:
+    """Every learned law of so many signals that the sensors of this recording could show at a joint."""
     rigid = problem.robot.joint(joint).rigid
-    return [
-        candidate
-        for effect in catalogue().values()
-        if not effect.is_cause
-        for word in effect.words
-        for signal in word.choices
-        if not (rigid and signal == "tau_t")  # a rigid joint's model has no spring that tells it
-        if visible(problem, candidate := Candidate(effect, joint, ((word.name, signal),)))
-    ]
+    out = []
+    for effect in catalogue().values():
+        if effect.is_cause or len(effect.words) != signals:
+            continue
+        names = [word.name for word in effect.words]
+        for chosen_ones in combinations(effect.words[0].choices, signals):
+            if rigid and "tau_t" in chosen_ones:  # a rigid joint's model has no spring that tells it
+                continue
+            candidate = Candidate(effect, joint, tuple(zip(names, chosen_ones, strict=True)))
+            if visible(problem, candidate):
+                out.append(candidate)
+    return out

@@ -1,4 +1,4 @@
-"""The penalised fit of a smooth law to what causes leave.
+"""The penalised fit of a smooth law of one or two signals to what causes leave.
 
 It is fitted to the whitened balances, and not to torques as they are recorded: there the noise is white, so
 that least squares are right and standard errors mean something; what nominal numbers may explain within their
@@ -14,6 +14,7 @@ time are left out instead, and the weight is taken that foretells them best.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -31,6 +32,8 @@ PARTS = tuple(part for k in (0.5, 0.25, 0.125) for part in ((0.0, k), (1.0 - k, 
 RIDGE = 1e-6  # of the mean curvature: coefficients that no sample shows stay finite
 AT_AN_END = 3  # coefficients that make a law's value at an end, and its slope and curvature there
 POINTS = 61  # of a law's curve
+RANGES = (("start", "span"), ("other_start", "other_span"))  # names of the numbers of each signal's range
+SECTIONS = (0.1, 0.5, 0.9)  # of the range of the other signal: where a law of two signals is drawn
 WEIGHTS = np.logspace(-3.0, 5.0, 17)  # of the penalty, of curvature: from all degrees of freedom to two
 
 
@@ -77,9 +80,20 @@ def coefficients(law: Planned) -> tuple[float, ...]:
     return values
 
 
-def signal_of(problem: Problem, law: Planned) -> np.ndarray:
-    """(N,) what a law follows, on the usable samples of a recording."""
-    return np.asarray(getattr(problem.signals(law.joint), law.values["signal"]))
+def followed(law: Planned) -> tuple[str, ...]:
+    """The signals that a law follows, one or two."""
+    return tuple(str(law.values[word.name]) for word in law.effect.words)
+
+
+def signals_of(problem: Problem, law: Planned) -> np.ndarray:
+    """(signals, N) what a law follows, on the usable samples of a recording."""
+    return np.array([getattr(problem.signals(law.joint), name) for name in followed(law)])
+
+
+def ranges_of(law: Planned) -> list[tuple[float, float]]:
+    """Start and span of a law's range in each of its signals."""
+    names = RANGES[: len(law.effect.words)]
+    return [(float(law.values[start]), float(law.values[span])) for start, span in names]
 
 
 def shape_of(
@@ -87,18 +101,21 @@ def shape_of(
 ) -> Shape | None:
     """The law over the range that its signal has in the recordings; None where that does not move."""
     law = candidate.planned({})
-    signal = np.concatenate([signal_of(problem, law) for problem in problems])
-    low, high = np.quantile(signal, (limits.outside, 1.0 - limits.outside))
+    signals = np.concatenate([signals_of(problem, law) for problem in problems], axis=1)
     span = next(p for p in law.effect.params if p.name == "span")
-    if not span.low < high - low < span.high:
-        return None
-    return _shape(problems, law.with_values({"start": float(low), "span": float(high - low)}), base)
+    for signal, names in zip(signals, RANGES, strict=False):
+        low, high = np.quantile(signal, (limits.outside, 1.0 - limits.outside))
+        if not span.low < high - low < span.high:
+            return None
+        law = law.with_values(dict(zip(names, (float(low), float(high - low)), strict=True)))
+    return _shape(problems, law, base)
 
 
 def part_of(
     problems: Sequence[Problem], shape: Shape, part: tuple[float, float], base: Sequence[Planned]
 ) -> Shape | None:
-    """The same over a part of its range, beyond which it is constant; None where that is no range."""
+    """The same law of one signal over a part of its range, beyond which it is constant; None where that is no
+    range."""
     law = shape.law
     start, span = (float(law.values[name]) for name in ("start", "span"))
     low, high = part
@@ -113,7 +130,7 @@ def part_of(
 
 
 def _shape(problems: Sequence[Problem], law: Planned, base: Sequence[Planned]) -> Shape:
-    signal = np.concatenate([signal_of(problem, law) for problem in problems])
+    signal = np.concatenate([signals_of(problem, law) for problem in problems], axis=1)
     columns = tuple(_columns(problem, law, base) for problem in problems)
     mean = np.mean(basis(law, signal), axis=0)
     return Shape(law, columns, mean, np.ones(mean.size, dtype=bool))
@@ -135,9 +152,9 @@ def _columns(problem: Problem, law: Planned, base: Sequence[Planned]) -> np.ndar
 
 
 def basis(law: Planned, at: np.ndarray) -> np.ndarray:
-    """(N, k) what a unit of each coefficient makes of the signal's values (N,), by the law itself."""
+    """(N, k) what a unit of each coefficient makes of the signals' values (signals, N), by the law itself."""
     size = coefficients_of(law)
-    signals = Signals(**{law.values["signal"]: at})
+    signals = Signals(**dict(zip(followed(law), at, strict=True)))
     columns = []
     for k in range(size.size):
         p = law.with_values({size.name: tuple(float(i == k) for i in range(size.size))}).p
@@ -145,7 +162,7 @@ def basis(law: Planned, at: np.ndarray) -> np.ndarray:
             columns.append(law.effect.map(signals, p, signals.phi) - signals.phi)
         else:
             columns.append(law.effect.torque(signals, p, 0.0))
-    return np.stack([column * np.ones_like(at) for column in columns], axis=1)
+    return np.stack([column * np.ones(at.shape[1]) for column in columns], axis=1)
 
 
 def penalty(count: int) -> np.ndarray:
@@ -154,9 +171,19 @@ def penalty(count: int) -> np.ndarray:
     return np.asarray(second.T @ second)
 
 
-def _penalty(free: np.ndarray) -> np.ndarray:
+def penalty_of(law: Planned) -> np.ndarray:
+    """(k, k) that of a law's coefficients; of two signals along each of them (Eilers and Marx 2003)."""
+    count = coefficients_of(law).size
+    if len(law.effect.words) == 1:
+        return penalty(count)
+    side = math.isqrt(count)
+    one, all_ = penalty(side), np.eye(side)
+    return np.asarray(np.kron(one, all_) + np.kron(all_, one))
+
+
+def _penalty(shape: Shape) -> np.ndarray:
     """That of the coefficients that are free, the others being none."""
-    return penalty(free.size)[np.ix_(free, free)]
+    return penalty_of(shape.law)[np.ix_(shape.free, shape.free)]
 
 
 def chosen(
@@ -178,7 +205,8 @@ def chosen(
         slopes += [columns[:, part] @ rest[part] for part in parts]
         nothing += float(rest @ rest)
     whole, slope = np.sum(normals, axis=0), np.sum(slopes, axis=0)
-    scaled = _penalty(shape.free) * np.trace(whole) / np.trace(_penalty(shape.free))
+    bent = _penalty(shape)
+    scaled = bent * np.trace(whole) / np.trace(bent)
     best, least = float(WEIGHTS[-1]), np.inf
     for weight in WEIGHTS:
         error = nothing
@@ -209,11 +237,13 @@ class Fitted:
     covariance: np.ndarray
     freedom: float
 
-    def curve(self, points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(points,) of the signal over the law's range, of the law, and of its standard errors."""
-        start, span = (float(self.law.values[name]) for name in ("start", "span"))
+    def curve(self, points: int, other: float = 0.5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(points,) of the signal over the law's range, of the law, and of its standard errors; of a law of
+        two signals where the other one is at this share of its range."""
+        (start, span), *others = ranges_of(self.law)
         at = np.linspace(start, start + span, points)
-        columns = basis(self.law, at)
+        along = [np.full(points, low + other * width) for low, width in others]
+        columns = basis(self.law, np.array([at, *along]))
         value = columns @ np.array(self.law.values[coefficients_of(self.law).name])
         variance = np.einsum("ij,jk,ik->i", columns, self.covariance, columns)
         return at, value, np.sqrt(np.maximum(variance, 0.0))
@@ -221,8 +251,9 @@ class Fitted:
     @property
     def certainty(self) -> float:
         """Distance of the law from none, in its standard errors where it is furthest."""
-        _, value, std = self.curve(POINTS)
-        return float(np.max(np.abs(value) / np.maximum(std, 1e-300)))
+        shares = SECTIONS if len(self.law.effect.words) > 1 else SECTIONS[1:2]
+        curves = [self.curve(POINTS, share) for share in shares]
+        return max(float(np.max(np.abs(c) / np.maximum(std, 1e-300))) for _, c, std in curves)
 
 
 def fitted(problems: Sequence[Problem], choice: Choice, ys: Sequence[np.ndarray]) -> Fitted:
@@ -235,7 +266,7 @@ def fitted(problems: Sequence[Problem], choice: Choice, ys: Sequence[np.ndarray]
     own = [columns[shape.free] for columns in shape.columns]
     pairs = [p.normal(columns, y) for p, columns, y in zip(problems, own, ys, strict=True)]
     normal, slope = np.sum([n for n, _ in pairs], axis=0), np.sum([s for _, s in pairs], axis=0)
-    bent = _penalty(shape.free)
+    bent = _penalty(shape)
     penalised = bent * choice.weight * np.trace(normal) / np.trace(bent)
     factor = _factor(normal, penalised)
     c = -cho_solve(factor, slope)

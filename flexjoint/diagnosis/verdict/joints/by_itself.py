@@ -19,6 +19,7 @@ from flexjoint.core.running.budget import Budget
 from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.regression.recorded import Recorded
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import at_own_level, score
@@ -198,7 +199,7 @@ def clears(joint: Remaining, before: Sequence[float], after: Sequence[float], se
     return any(_stands_out(joint.torque, then, now, settings.verdict) for then, now in pairs)
 
 
-def stands_out(problem: Problem, before: Remaining, after: float) -> bool:
+def stands_out(problem: Recorded, before: Remaining, after: float) -> bool:
     """Whether causes that leave so much of a joint are likely there. What causes of other joints have made
     worse on this one is no evidence of them."""
     least = min(before.before, before.after)

@@ -27,8 +27,9 @@ from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.result.known import Known
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned
-from flexjoint.recording.table import Recording
+from flexjoint.recording.table import Recording, read
 from flexjoint.recording.table import write as write_recording
+from flexjoint.robot.robot import load, shipped_robots
 
 FRICTION, GAP, MORE_FRICTION, WIDER, DRAG = "friction", "gap", "more friction", "wider gap", "drag"
 CAUSES = {
@@ -143,6 +144,23 @@ def test_a_new_cause_shows_in_what_is_left() -> None:
     assert checked(3, FRICTION, GAP, DRAG).changed[0].grown
     on_healthy = check(nominal("lever"), recorded(3, DRAG), healthy())
     assert on_healthy.verdict == "changed" and on_healthy.changed[0].grown
+
+
+# ------------------------------------------------------------------ a real machine
+def test_what_a_robust_search_found_is_checked_in_its_own_balances() -> None:
+    """In the usual ones its friction vanished, and another recording of the same day looked like a change."""
+    folder = shipped_robots()["kr300"].parent
+    robot, recording = load("kr300"), read(folder / "recordings" / "rec_B.parquet")
+    diagnosis = folder / "diagnosed" / "rec_A.json"
+    same = check(robot, recording, diagnosis)
+    assert same.verdict == "as_before", str(same)
+    (third,) = (joint for joint in same.joints if joint.joint == "joint_3")
+    assert {cause.effect: cause.state for cause in third.causes}["breakaway_friction"] == "there"
+    speed = np.gradient(recording.get("theta", "joint_3"), recording.time)
+    key = ("tau_motor", "joint_3")
+    braked = recording.columns[key] + 300.0 * np.tanh(speed / 0.01)  # a tenth of its torque (RMS)
+    worn = check(robot, replace(recording, columns={**recording.columns, key: braked}), diagnosis)
+    assert [joint.joint for joint in worn.changed] == ["joint_3"]
 
 
 # ------------------------------------------------------------------ against what

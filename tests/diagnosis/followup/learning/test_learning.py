@@ -14,6 +14,7 @@ from support.diagnose_cases import Case, as_recording, nominal
 import flexjoint as fj
 from flexjoint.core.errors import FlexJointError, RecordingError, UnknownNameError
 from flexjoint.diagnosis.followup.learning.advice import LOOK
+from flexjoint.diagnosis.followup.learning.judge import gained
 from flexjoint.diagnosis.followup.learning.splines import penalty
 from flexjoint.diagnosis.result import Diagnosis, to_json
 from flexjoint.diagnosis.result.known import known_of
@@ -30,8 +31,9 @@ PLANTED = {
     "hose": Planted("kinked_hose", JOINT, {"torque": 6.0, "angle": 0.2, "width": 0.1}),
     "spring": Planted("soft_centre", JOINT, {"stiffness": 200.0, "width": 0.01}),
     "friction": Planted("motor_coulomb_friction", JOINT, {"level": 3.0}),
+    "ripple": Planted("load_cogging", JOINT, {"share": 0.3, "cycles": 1.0, "phase": 0.0}),
 }
-HOSE, SPRING, FRICTION = PLANTED
+HOSE, SPRING, FRICTION, RIPPLE = PLANTED
 
 
 @cache
@@ -66,6 +68,28 @@ def test_a_law_of_no_catalogue_is_learned(planted: str, effect: str, signal: str
     assert after < before / less
 
 
+def test_a_law_of_two_signals_is_learned_where_none_of_one_holds() -> None:
+    """The motor's torque constant changes with its angle: a product of the command and a law of theta."""
+    robot, recording, found, more = learned(RIPPLE)
+    assert more.learned is not None
+    (law,) = more.learned.laws
+    assert (law.effect, law.joint, {law.signal, law.other}) == ("learned_surface", JOINT, {"theta", "tau_m"})
+    assert law.share > 0.8 and 4.0 <= law.freedom <= 36.0
+    before, after = (unseen_error(d.extend(robot), RIPPLE) for d in (found, more))
+    assert after < before / 5.0
+    assert len(law.sections) == 3 and law.sections[1].value == pytest.approx(law.value)
+    text = str(more).replace("\n", " ")
+    assert "follows motor position theta and motor torque command tau_m" in text
+
+    from flexjoint import report
+
+    assert "with two standard errors as a band" in report.render(more, robot, recording)
+    jsonschema = pytest.importorskip("jsonschema")
+    content = json.loads(json.dumps(to_json(more)))
+    jsonschema.validate(content, schema("diagnosis"), cls=jsonschema.Draft202012Validator)
+    assert content["learned"]["laws"][0]["other"] == law.other
+
+
 def test_the_curve_is_the_planted_law_within_its_band() -> None:
     """Up to a constant, which the unknown zero of a torque has as well."""
     _, _, _, more = learned(HOSE)
@@ -77,6 +101,30 @@ def test_the_curve_is_the_planted_law_within_its_band() -> None:
     away = value - true - np.mean(value - true)
     assert np.sqrt(np.mean(away**2)) < 0.1 * 6.0
     assert np.mean(np.abs(value - true) <= 2.0 * std) > 0.9
+
+
+def moving(seed: int, *causes: str) -> Recording:
+    """Another motion of the machine."""
+    case = replace(CASE, seed=seed)
+    return as_recording(case.with_causes(*(PLANTED[name] for name in causes)), f"{case.name}-{seed}")
+
+
+def test_a_law_of_several_recordings_holds_on_one_that_none_of_them_is() -> None:
+    robot, recording, found, _ = learned(HOSE)
+    both = fj.learn(robot, [recording, moving(2003, HOSE)], found)
+    assert both.learned is not None
+    law = both.learned.laws[0]
+    assert (law.effect, law.joint, law.signal) == ("learned_link_torque", JOINT, "q")
+    gain = both.learned.simulation  # on stretches of either that its law did not see
+    assert gain is not None and gain.after["nrmse"][f"q.{JOINT}"] < 0.3 * gain.before["nrmse"][f"q.{JOINT}"]
+    before, after = (unseen_error(d.extend(robot), HOSE) for d in (found, both))
+    assert after < before / 20.0
+
+
+def test_a_law_that_only_one_of_two_recordings_shows_is_not_kept() -> None:
+    robot, recording, found, _ = learned(HOSE)
+    result = fj.learn(robot, [recording, moving(2003)], found).learned
+    assert result is not None and result.laws == ()
 
 
 def test_what_it_resembles_and_what_to_look_at_is_said() -> None:
@@ -174,12 +222,33 @@ def test_a_law_that_makes_the_simulation_worse_is_dropped() -> None:
     robot, recording, found, _ = learned(HOSE)
     settings = replace(USUAL, learn=replace(USUAL.learn, worse=0.0))  # of any law
     result = fj.learn(robot, recording, found, settings=settings).learned
-    assert result is not None and result.laws == () and "worse with it" in result.notes[0]
+    assert result is not None and result.laws == () and "not surely better" in result.notes[0]
+
+
+def test_a_law_with_which_the_simulation_is_not_surely_better_is_dropped() -> None:
+    robot, recording, found, _ = learned(HOSE)
+    settings = replace(USUAL, learn=replace(USUAL.learn, sure_simulation=1e6))
+    result = fj.learn(robot, recording, found, settings=settings).learned
+    assert result is not None and result.laws == () and "not surely better" in result.notes[0]
+
+
+def test_a_gain_counts_in_its_standard_errors_over_blocks() -> None:
+    """Of many recordings of twelve blocks, whose errors with a law and without differ by chance."""
+    rng = np.random.default_rng(4)
+    before, after = (rng.chisquare(50, (4000, 12)) for _ in range(2))
+    each = [gained(b, a) for b, a in zip(before, after, strict=True)]
+    scatter = float(np.std([one.share for one in each]))
+    assert np.sqrt(np.mean([one.std**2 for one in each])) == pytest.approx(scatter, rel=0.05)
+    # Student's t of eleven degrees of freedom is beyond three in 0.6 % on one side
+    assert np.mean([one.sure >= 3.0 for one in each]) == pytest.approx(0.006, abs=0.004)
 
 
 def test_every_law_and_signal_has_an_advice() -> None:
     laws = [e for e in catalogue().values() if not e.is_cause]
-    assert set(LOOK) == {(e.name, s) for e in laws for w in e.words for s in w.choices}
+    assert set(LOOK) == {(e.name, s) for e in laws if len(e.words) == 1 for s in e.words[0].choices}
+    (surface,) = (e for e in laws if len(e.words) == 2)
+    for word in surface.words:  # one of two signals has the advice of both
+        assert all(("learned_torque", signal) in LOOK for signal in word.choices)
 
 
 def test_lines_are_free_of_the_penalty() -> None:
