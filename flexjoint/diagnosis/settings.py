@@ -872,12 +872,6 @@ class VerdictSettings(Stage):
         "more for every factor of ten beyond that, and less below",
         "study: 43 dirty machines",
     )
-    background_share: float = number(
-        0.1,
-        "probability",
-        "that a machine which leaves nothing but noise has small errors without a name all the same",
-        "study: on dirty machines 6 of 8 names that leave only noise were right, on others 99 of 100",
-    )
     background_more: float = number(
         4.0,
         "log odds",

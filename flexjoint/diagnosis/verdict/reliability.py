@@ -88,12 +88,6 @@ def on_background(
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 
 
-def on_some_machine(clean: float, dirty: float, settings: VerdictSettings) -> float:
-    """Probability that a name is right, from that on a machine without other small errors and on one that has
-    them: most that leave nothing but noise have none."""
-    return max(dirty, clean + settings.background_share * (dirty - clean))
-
-
 def by_simulation(
     measured: Gain, without: Gain | None, planned: Planned, settings: VerdictSettings, beside: int = 1
 ) -> float:

@@ -17,7 +17,7 @@ from flexjoint.diagnosis.search.criteria import (
 )
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
-from flexjoint.diagnosis.verdict.reliability import left_by, on_background, on_some_machine, reliability
+from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability
 from flexjoint.diagnosis.verdict.ties import preferred, ties
 from flexjoint.diagnosis.verdict.unseen import Unseen, friction, remaining, removed, spoils
 from flexjoint.effects import Kind, Planned, Site
@@ -57,8 +57,9 @@ def findings(
         rivals = tuple(rival for rival in rivals if not needs_implausible(rival, best))
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
         left, share = left_by(best, selection.nothing, k)
-        dirty = 0.0 if spoils(data, k) else on_background(cleared[k], joints, limits, beside, rubbing[k])
-        believed = on_some_machine(reliability(best, left, share, k), dirty, limits)
+        believed = reliability(best, left, share, k)
+        if not spoils(data, k):
+            believed = max(believed, on_background(cleared[k], joints, limits, beside, rubbing[k]))
         if believed < limits.likely:
             believed = max(believed, simulated(k, beside))
         out.append(

@@ -8,7 +8,7 @@ import pytest
 
 from flexjoint.diagnosis.result import Gain, Remaining, Removed
 from flexjoint.diagnosis.settings import USUAL
-from flexjoint.diagnosis.verdict.reliability import by_simulation, on_background, on_some_machine
+from flexjoint.diagnosis.verdict.reliability import by_simulation, on_background
 from flexjoint.diagnosis.verdict.unseen import standing_out, unfinished
 from flexjoint.effects import effect
 
@@ -43,11 +43,6 @@ def test_a_small_cause_is_believed_where_next_to_nothing_is_left_but_not_as_a_la
     small = replace(CAUSE, without=2.2, left=0.05, structured=0.0)
 
     assert 0.6 < believed(small, replace(JOINT, after=0.05)) < 0.95
-
-
-def test_on_any_machine_a_name_is_believed_between_what_it_is_on_a_clean_and_on_a_dirty_one() -> None:
-    assert on_some_machine(0.99, 0.2, LIMITS) == pytest.approx(0.9 * 0.99 + 0.1 * 0.2)
-    assert on_some_machine(0.1, 0.97, LIMITS) == 0.97  # what is large needs no clean machine
 
 
 def test_what_leaves_nothing_at_all_is_believed_and_a_joint_without_torque_tells_nothing() -> None:
