@@ -41,7 +41,7 @@ def findings(
     sliding = best.problem.robot.prismatic
     out: list[Finding] = []
     cleared = [removed(data, k) for k in range(len(best.effects))]
-    rubbing = [friction(data, e.joint) if e.effect.ordinary else None for e in best.effects]
+    rubbing = [friction(data, e.joint) if _rubs_more(best, e) else None for e in best.effects]
     convincing = [
         on_background(one, joints, limits, friction=together) >= limits.likely
         for one, together in zip(cleared, rubbing, strict=True)
@@ -83,6 +83,16 @@ def findings(
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain))
+
+
+def _rubs_more(best: Fit, planned: Planned) -> bool:
+    """Whether an effect is ordinary friction beyond the nominal model's, which every machine has; that of a
+    machine with less friction is as remarkable as any other cause."""
+    listed = next((e for e in best.problem.nominal if e.key == planned.key), None)
+    known = {} if listed is None else listed.values
+    return planned.effect.ordinary and all(
+        planned.values[p.name] > known.get(p.name, 0.0) for p in planned.effect.nulls
+    )
 
 
 def merged(
