@@ -96,7 +96,7 @@ def _losses(arguments: argparse.Namespace, robot: Robot, done: Exported) -> list
 def _by_channel(windows: _Windows, ours: Comparison) -> Columns:
     """MuJoCo against our simulation, and that against the recording."""
     heads = (
-        f"{clean(windows.recording.name)}, {ours.windows} windows of {ours.horizon:g} s",
+        f"{clean(Path(windows.recording.name).name)}, {ours.windows} windows of {ours.horizon:g} s",
         "MuJoCo against flexjoint",
         "flexjoint against recording",
     )
