@@ -658,6 +658,13 @@ class RefinementSettings(Stage):
     window_lengths: tuple[float, ...] = number(
         (0.2, 0.1, 0.05), "s", "of the windows that are tried, the longest first", "judgement"
     )
+    linearisation: float = number(
+        0.07,
+        "share of the recording's time",
+        "of one core that one linearisation of all windows may take: some fifteen follow each other; beyond"
+        " it, windows are left out",
+        "goal: a diagnosis takes no longer than the recording",
+    )
     disturbed: float = number(
         1.1,
         "squared residual per degree of freedom",

@@ -151,6 +151,22 @@ class Balances:
             lists[i] = [e for k in sorted(joints) for e in own[self.motion.robot.joints[k].name]]
         return [[*effects_of, *bodies] for effects_of in lists]
 
+    def beside(self, effects: Sequence[Planned], e: Planned) -> list[Planned]:
+        """Those of the effects on which the change that one makes at its joint depends: those there, at a
+        shaft on all joints that it turns, and bodies' loads where a dry friction carries them at rest."""
+        names = self.motion.robot.joint_names
+        if e.joint is None:
+            return [other for other in effects if other.joint is None]
+        here = names.index(e.joint)
+        joints = {here, *self.chains.ties.mates([*effects, e]).get(here, ())}
+        own = [other for other in effects if other.joint in {names[i] for i in joints}]
+        loaded = e.effect.site is Site.BODY or any(
+            self.chains.rests_on_load(i, [other for other in (*own, e) if other.joint == names[i]])
+            for i in joints
+        )
+        bodies = [other for other in effects if loaded and other.effect.site is Site.BODY]
+        return [*(other for other in own if other.effect.site is not Site.BODY), *bodies]
+
     def _row(self, row: Row, chain: Chain, load: np.ndarray | float) -> np.ndarray:
         if row.balance == MOTOR:
             rigid = self.motion.robot.joints[row.joint].rigid

@@ -20,6 +20,7 @@ from flexjoint.effects import Planned
 
 MOST_PASSES = 8
 MOST_HALVINGS = 3
+FEWEST_PASSES = 3  # before numbers that are far off end the search: the first starts are measured ones
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,8 @@ class Refinement:
                 break
             point = taken
             self.cap = min(self.cap, self._usual(point))
+            if passes >= FEWEST_PASSES and _furthest(point) > self.settings.regression.implausible:
+                break  # no such numbers are taken
         self.level = self._level(point)
         left, used = self._next(point)[1], self._used(point)
         spread, grown = self._covariance(point, used)
@@ -114,7 +117,6 @@ class Refinement:
         gain, chance = self._held_out(point)
         chance *= float(np.max(grown)) ** 2
         outlying = 1.0 - float(np.mean(used))
-        furthest = float(np.max(np.abs(point.deviations), initial=0.0))
         return Estimate(
             point.slots,
             spread,
@@ -123,7 +125,7 @@ class Refinement:
             gain,
             chance,
             outlying,
-            furthest,
+            _furthest(point),
             self.shooting.seconds,
             passes,
             left < limits.small_step,
@@ -249,6 +251,11 @@ class Refinement:
             for r, use in zip(point.windows, unseen, strict=True):
                 gained += use * (_predicted(r, back) - _predicted(r, step))
         return gained / self.level, chance
+
+
+def _furthest(point: _Point) -> float:
+    """Prior deviations by which the furthest nominal number has moved."""
+    return float(np.max(np.abs(point.deviations), initial=0.0))
 
 
 def _those(point: _Point, used: np.ndarray) -> list[Reduced]:

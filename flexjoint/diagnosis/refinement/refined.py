@@ -9,8 +9,9 @@ import numpy as np
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.diagnosis.refinement.open_model import OpenModel, slot_label
 from flexjoint.diagnosis.refinement.output_error import Estimate, Refinement
-from flexjoint.diagnosis.refinement.shooting import Shooting, slot_label
+from flexjoint.diagnosis.refinement.shooting import Shooting
 from flexjoint.diagnosis.regression.fit import LEAST_VARIANCE, Fit
 from flexjoint.diagnosis.regression.uncertainty import number_covariance
 from flexjoint.diagnosis.result import Estimation, Finding
@@ -78,9 +79,10 @@ def _begun(best: Fit, workers: int, budget: Budget) -> Refinement | str:
         return why
     chosen: Refinement | None = None
     try:
+        opened = OpenModel(best.problem, best.effects, best.slots)
         for seconds in limits.window_lengths:
             budget.check()
-            trial = _trial(best, seconds, workers)
+            trial = _trial(best, opened, seconds, workers)
             if trial is None:
                 break
             if chosen is not None and not _better(trial, chosen):
@@ -90,9 +92,7 @@ def _begun(best: Fit, workers: int, budget: Budget) -> Refinement | str:
                 break
     except (FlexJointError, np.linalg.LinAlgError) as error:
         return str(error)
-    if chosen is None:
-        return "the recording has too few stretches without gaps"
-    return chosen
+    return chosen or "too few windows of the recording are without gaps, or can be simulated in its own time"
 
 
 def _unfit(robot: Robot, recording: Recording) -> str:
@@ -114,13 +114,13 @@ def _beyond_noise(best: Fit) -> str:
     return f"what is left is {left:.0f} times the sensors' noise, to which the simulation would be fitted"
 
 
-def _trial(best: Fit, seconds: float, workers: int) -> Refinement | None:
+def _trial(best: Fit, opened: OpenModel, seconds: float, workers: int) -> Refinement | None:
     """A refinement on windows of this length; with the noise of the motor torques where without it the
     residual is more than the sensors' noise. None: too few windows."""
     limits = best.settings.refinement
     trial: Refinement | None = None
     for disturbed in (False, True):
-        shooting = Shooting(best.problem, best.effects, best.slots, seconds, disturbed, workers)
+        shooting = Shooting(opened, seconds, disturbed, workers)
         if len(shooting.windows) < limits.fewest_windows:
             return None
         trial = Refinement(shooting, best)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, cast
 
 import casadi as ca
@@ -21,6 +22,11 @@ from flexjoint.rigidbody.numeric import PinBody
 from flexjoint.simulation.compiled.functions import compiled, compiling_pays
 from flexjoint.simulation.schemes import make_step
 from flexjoint.simulation.schemes.discrete import DiscreteModel
+
+# measured on TX40, KR300, UR5 and a planar arm of two joints
+BY_ONE = 0.6  # operations of a derivative by one number, 0.34 to 0.87 of those of the step itself
+INTERPRETED, COMPILED = 4.5e-9, 5e-10  # s an operation of CasADi's virtual machine, and of compiled code
+PRODUCT = 1e-10  # s a multiplication of matrices takes, for each product in it
 
 
 class LinkLoad(Effect):
@@ -70,6 +76,32 @@ class Run:
     by: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Step:
+    """Expressions: a step's inputs, what it makes of them (state and readings), and by which of the
+    parameters it is differentiated."""
+
+    x: Any
+    u: Any
+    p: Any
+    t: Any
+    h: Any
+    after: Any
+    y: Any
+    varied: Any
+    loads: Any
+
+    @property
+    def numbers(self) -> int:
+        """By how many the step is differentiated."""
+        return sum(int(a.numel()) for a in (self.x, self.u, self.loads, self.varied))
+
+    @cached_property
+    def operations(self) -> int:
+        inputs = [self.x, self.u, self.p, self.t, self.h]
+        return int(ca.Function("step", inputs, ca.cse([self.after, self.y])).n_instructions())
+
+
 class StepDerivatives:
     """One step of a symbolic model with its readings and derivatives, for many windows at once.
 
@@ -104,24 +136,37 @@ class StepDerivatives:
         true = symbolic.true(state)
         keys = dict(zip(symbolic.reading_names, symbolic.reading_keys(), strict=True))
         y = ca.vertcat(ca.SX(0, 1), *(symbolic.read(keys[r], true[keys[r]]) for r in readings))
-        pv, pl = p[places], p[self._loads]
-        by_step = [ca.jacobian(after, a) for a in (x, symbolic.u, pl, pv)]
-        by_reading = [ca.jacobian(y, a) for a in (x, pv)]
-        # derivatives by the state, and by all else: two programs are compiled side by side, each in less
-        # than half the time, and share little
-        first: Any = [after, by_step[0], y, by_reading[0]]  # the stubs know less than CasADi
-        second: Any = [*by_step[1:], by_reading[1]]
-        inputs = [x, symbolic.u, p, symbolic.t, h]
-        functions = [
-            ca.Function(f"flexjoint_by_{name}", inputs, [ca.densify(out) for out in ca.cse(outputs)])
-            for name, outputs in (("state", first), ("inputs", second))
-        ]
-        self._functions = compiled(functions) if compiling_pays(functions, steps) else functions
+        self._step = _Step(x, symbolic.u, p, symbolic.t, h, after, y, p[places], p[self._loads])
+        self._steps = steps
         self._calls: dict[int, _Call] = {}
         self._body = PinBody(symbolic.robot.model)
         joints = symbolic.robot.joints
         self._rows = [joint.idx_v for joint in joints]
         self._columns = np.concatenate([10 * (joint.pin_id - 1) + np.arange(10) for joint in joints])
+
+    def cost(self, columns: int) -> float:
+        """[s] of a core, about, for one step of one window in so many directions; known before the
+        derivatives are made, which takes seconds."""
+        operations = round(BY_ONE * self._step.numbers * self._step.operations)
+        each = COMPILED if compiling_pays(operations, self._steps) else INTERPRETED
+        return each * operations + PRODUCT * self.size**2 * columns
+
+    @cached_property
+    def _functions(self) -> list[ca.Function]:
+        """Derivatives by the state, and by all else: two programs are compiled side by side, each in less
+        than half the time, and share little."""
+        step = self._step
+        by_step = [ca.jacobian(step.after, a) for a in (step.x, step.u, step.loads, step.varied)]
+        by_reading = [ca.jacobian(step.y, a) for a in (step.x, step.varied)]
+        first: Any = [step.after, by_step[0], step.y, by_reading[0]]  # the stubs know less than CasADi
+        second: Any = [*by_step[1:], by_reading[1]]
+        inputs = [step.x, step.u, step.p, step.t, step.h]
+        functions = [
+            ca.Function(f"flexjoint_by_{name}", inputs, [ca.densify(out) for out in ca.cse(outputs)])
+            for name, outputs in (("state", first), ("inputs", second))
+        ]
+        pays = compiling_pays(sum(f.n_instructions() for f in functions), self._steps)
+        return compiled(functions) if pays else functions
 
     def run(self, inputs: Inputs, numbers: np.ndarray, directions: Directions, rate: float) -> Run:
         """Simulate all windows at `rate` [Hz] with the parameters `numbers` (np,), with derivatives."""

@@ -12,32 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.core.running.worker_pool import worker_pool
-from flexjoint.diagnosis.comparison.estimate import StateEstimator
-from flexjoint.diagnosis.refinement.open_numbers import open_numbers
-from flexjoint.diagnosis.refinement.sensitivities import (
-    Delays,
-    Directions,
-    Inputs,
-    StepDerivatives,
-    link_load,
-)
-from flexjoint.diagnosis.regression.fit import Slot
-from flexjoint.diagnosis.regression.problem import Problem
-from flexjoint.effects import Planned, effect
-from flexjoint.model.dynamics import FlexibleJointModel
-from flexjoint.model.parameters import labels
-from flexjoint.model.symbolic import SymbolicModel
-from flexjoint.robot.robot import Robot
-from flexjoint.simulation.loop import physics_rate
+from flexjoint.diagnosis.refinement.open_model import OpenModel
+from flexjoint.diagnosis.refinement.sensitivities import Directions, Inputs
 from flexjoint.simulation.simulate import torque_over
 
-CHANNELS = ("q", "theta", "tau_t")  # the balances' sensors
 SIDE_BY_SIDE = 24  # windows that are simulated at once, at most: more need memory, fewer time
 SIDE_MEMORY = 4e7  # bytes of derivatives that they may have together
 ALL_MEASURED = 0.99  # of an interpolated flag: 1 where both neighbours were, rounding aside
 ROUNDING = 1e-6  # steps
-PASSES = 3  # linearisations to be expected
-MOST_WORK = 1e7  # entries of sensitivities times steps: ten seconds; windows are left out beyond it
 
 
 @dataclass(frozen=True)
@@ -75,71 +57,28 @@ class Reduced:
 
 
 class Shooting:
-    """Windows of a problem's recording against a set of effects.
+    """Windows of a recording against the model of a set of effects.
 
     Args:
+        opened: the model with its free numbers.
         seconds: length of a window.
         disturbed: whether the noise of the motor torques counts, which moves the motors within a window.
-        slots: the free numbers of the effects.
         workers: processes that share the windows; the bits are the same for any number.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        effects: Sequence[Planned],
-        slots: Sequence[Slot],
-        seconds: float,
-        disturbed: bool = False,
-        workers: int = 1,
-    ) -> None:
-        self.problem, self.seconds, self.workers = problem, seconds, workers
-        robot, recording = problem.robot, problem.readings.recording
-        self.recording = recording
-        self.begin = float(recording.time[0])
-        self.rate = physics_rate(robot)
-        self.steps = 2 * max(1, round(0.5 * seconds * self.rate))  # even: see `coarse`
-        free_offsets = _offsets(robot, effects)
-        at_work = [*problem.with_nominal(effects), *free_offsets]
-        self.model = FlexibleJointModel(robot, at_work)
-        self.estimator = StateEstimator(recording, self.model)
-        self.phases = [time for time, _ in self.model.phases]
+    def __init__(self, opened: OpenModel, seconds: float, disturbed: bool = False, workers: int = 1) -> None:
+        self.opened, self.seconds, self.workers = opened, seconds, workers
+        self.problem, self.model, self.nominal = opened.problem, opened.model, opened.nominal
+        self.recording = self.problem.readings.recording
+        self.begin = float(self.recording.time[0])
+        self.steps = 2 * max(1, round(0.5 * seconds * opened.rate))  # even: see `coarse`
         self.windows = self._windows()
-        loads = [link_load(joint.name) for joint in robot.joints]
-        self._symbolic = [
-            SymbolicModel(robot, [*at_work, *loads], free=("drives",), at=max(time, -1.0))
-            for time in self.phases
-        ]
-        self.parameters = self._symbolic[0].parameters
-        self.nominal = open_numbers(robot, problem, free_offsets)
-        block = problem.settings.refinement.torque_block
+        block = self.problem.settings.refinement.torque_block
         self.blocks = max(1, round(seconds / block)) if disturbed else 0
-        self.own = self.model.nx + len(robot.joints) * self.blocks  # unknowns of a window
-        columns = self.own + len(slots) + len(self.nominal)
-        work = len(self.windows) * self.steps * columns * 1.5 * self.model.nx
-        every = max(1, int(np.ceil(work / MOST_WORK)))
-        self.windows = self.windows[::every]
-        self.slot_labels = [slot_label(effects, slot) for slot in slots]
-        self._values = self._symbolic[0].values.copy()
-        for joint, offset in self.estimator.offsets.items():
-            self._values[self.parameters.index(f"motor_encoder_offset.{joint}.offset")] = offset
-        named = {number.name for number in self.nominal if not number.direction}
-        self.varied = list(dict.fromkeys([*self.slot_labels, *sorted(named)]))
-        self.keys = [
-            (channel, joint.name)
-            for joint in robot.joints
-            for channel in CHANNELS
-            if recording.has(channel, joint.name) and not (joint.rigid and channel == "tau_t")
-        ]
-        self.noise = np.array([self._noise(*key) for key in self.keys])
-        self._measured = np.stack([recording.get(*key) for key in self.keys], axis=1)
-        expected = PASSES * len(self.windows) * self.steps
-        names = [".".join(key) for key in self.keys]
-        used = {window.phase for window in self.windows}
-        self._derivatives = {
-            k: StepDerivatives(self._symbolic[k], self.varied, names, expected) for k in used
-        }
-        self._delays = Delays(self._symbolic[0], self.keys, self.varied)
+        self.own = self.model.nx + len(self.problem.robot.joints) * self.blocks  # unknowns of a window
+        self.columns = self.own + opened.common
+        self.windows = self._affordable()
+        self.phases = list(dict.fromkeys(window.phase for window in self.windows))
         self.starts, self.spread = self._measured_starts()
 
     # --- windows -----------------------------------------------------------------------------------
@@ -147,7 +86,7 @@ class Shooting:
         """Abutting windows on samples whose surroundings were measured, each within one phase."""
         readings, time = self.problem.readings, self.recording.time
         good = np.interp(time, readings.time, readings.valid.astype(float)) > ALL_MEASURED
-        length, out, k = self.steps / self.rate, [], 0
+        length, out, k = self.steps / self.opened.rate, [], 0
         while k < len(time):
             end = int(np.searchsorted(time, time[k] + length + 1e-9))
             if end >= len(time):
@@ -156,20 +95,32 @@ class Shooting:
             if bad.size:
                 k += int(bad[-1]) + 1
                 continue
-            since = np.searchsorted(self.phases, [time[k] - self.begin, time[end] - self.begin], "right") - 1
+            since = (
+                np.searchsorted(self.opened.phases, [time[k] - self.begin, time[end] - self.begin], "right")
+                - 1
+            )
             if since[0] == since[1]:
                 out.append(Window(float(time[k]), slice(k, end), int(since[0])))
             k = end
         return out
+
+    def _affordable(self) -> list[Window]:
+        """Those that may be linearised in the share of the recording's time that one linearisation may
+        take, evenly over the recording."""
+        share = self.problem.settings.refinement.linearisation
+        allowed = share * float(np.ptp(self.recording.time))
+        cost = {k: self.opened.derivatives(k).cost(self.columns) for k in {w.phase for w in self.windows}}
+        needed = self.steps * sum(cost[window.phase] for window in self.windows)
+        return self.windows[:: max(1, int(np.ceil(needed / allowed)))]
 
     def _measured_starts(self) -> tuple[np.ndarray, np.ndarray]:
         """(windows, nx) the measured states at the windows' starts, and (nx,) their prior deviations, which
         are nearly flat: the samples from which the state was estimated must not count twice."""
         limits = self.problem.settings.refinement
         model, noise = self.model, self.problem.readings.noise
-        length = self.steps / self.rate
-        motion = self.estimator.at(np.array([w.start for w in self.windows]))
-        rows = [self.estimator.state(motion, k) for k in range(len(self.windows))]
+        length = self.steps / self.opened.rate
+        motion = self.opened.estimator.at(np.array([w.start for w in self.windows]))
+        rows = [self.opened.estimator.state(motion, k) for k in range(len(self.windows))]
         place = limits.flat_prior * np.maximum(np.maximum(noise["q"], noise["theta"]), 1e-7)
         q, v = np.full(model.nq, np.min(place)), np.full(model.nv, np.min(place) / length)
         for i, joint in enumerate(model.joints):
@@ -179,35 +130,21 @@ class Shooting:
         starts = np.array([model.pack(row) for row in rows])
         return starts, np.concatenate([q, v, moving, moving / length, z])
 
-    def _noise(self, channel: str, joint: str) -> float:
-        i = self.problem.robot.joint_names.index(joint)
-        spread = float(np.nanstd(self.recording.get(channel, joint)))
-        return max(float(self.problem.readings.noise[channel][i]), 1e-7 * spread, 1e-12)
-
-    # --- numbers -----------------------------------------------------------------------------------
-    def numbers(self, slots: np.ndarray, deviations: np.ndarray) -> np.ndarray:
-        """(np,) parameters for slot values and deviations of the nominal numbers."""
-        out = self._values.copy()
-        for label, value in zip(self.slot_labels, slots, strict=True):
-            out[self.parameters.index(label)] = value
-        for number, deviation in zip(self.nominal, deviations, strict=True):
-            if not number.direction:
-                out[self.parameters.index(number.name)] += deviation * number.std
-        return out
-
     # --- linearisation -----------------------------------------------------------------------------
     def linearise(
         self, slots: np.ndarray, deviations: np.ndarray, starts: np.ndarray, coarse: int = 1
     ) -> list[Reduced]:
         """Every window about these slot values (k,), deviations (d,) and starts (windows, nx); the common
         numbers are the slots, then the deviations. `coarse` 2 takes steps twice as long."""
-        columns = self.own + len(self.slot_labels) + len(self.nominal)
-        most = int(SIDE_MEMORY / (8.0 * (self.steps // coarse + 1) * len(self.keys) * columns))
+        each = 8.0 * (self.steps // coarse + 1) * len(self.opened.keys) * self.columns  # bytes
+        most = int(SIDE_MEMORY / each)
         parts = [
             _Part(tuple(rows), slots, deviations, starts[rows], coarse)
-            for phase in self._derivatives
+            for phase in self.phases
             for rows in self._side_by_side(phase, min(SIDE_BY_SIDE, max(1, most)))
         ]
+        for phase in self.phases:
+            self.opened.derivatives(phase)  # before the processes part
         with worker_pool([self], min(self.workers, len(parts))) as processes:
             found = processes.map(self._linearised, parts)
         out: dict[int, Reduced] = {}
@@ -222,9 +159,9 @@ class Shooting:
         return [list(map(int, part)) for part in np.array_split(rows, parts)]
 
     def _linearised(self, part: _Part) -> list[Reduced]:
-        rate, steps = self.rate / part.coarse, self.steps // part.coarse
-        numbers = self.numbers(part.slots, part.deviations)
-        derivatives = self._derivatives[self.windows[part.rows[0]].phase]
+        rate, steps = self.opened.rate / part.coarse, self.steps // part.coarse
+        numbers = self.opened.numbers(part.slots, part.deviations)
+        derivatives = self.opened.derivatives(self.windows[part.rows[0]].phase)
         inputs, directions = self._inputs(part.rows, numbers, part.deviations, part.starts, steps)
         out = []
         # a window that swings up leaves the finite numbers, for which an estimate is refused
@@ -245,28 +182,30 @@ class Shooting:
     ) -> tuple[Inputs, Directions]:
         robot, nx, n = self.problem.robot, self.model.nx, len(self.model.joints)
         begins = np.array([self.windows[k].start for k in part])
-        late, late_by = self._delays.command(numbers)
-        edges = np.linspace(0.0, self.steps / self.rate, steps + 1)
+        late, late_by = self.opened.delays.command(numbers)
+        edges = np.linspace(0.0, self.steps / self.opened.rate, steps + 1)
         torque = np.zeros((len(part), steps, n))
-        own, columns = self.own, self.own + len(self.slot_labels) + len(self.nominal)
+        own, columns = self.own, self.columns
         by_torque = None
         if np.any(late_by) or self.blocks:
             by_torque = np.zeros((len(part), steps, n, columns))
             by_torque[..., nx:own] = self._disturbances(steps)
-        h = 0.5 / self.rate
+        h = 0.5 / self.opened.rate
         for i, joint in enumerate(robot.joint_names):
             for place, begin in enumerate(begins):
                 at = begin + edges - late[i]
                 torque[place, :, i] = self._torque(joint, at)
                 if by_torque is not None and np.any(late_by[i]):
                     slope = (self._torque(joint, at - h) - self._torque(joint, at + h)) / (2.0 * h)
-                    slots = late_by[i] @ self._by_parameters()
+                    slots = late_by[i] @ self.opened.by_common
                     by_torque[place, :, i, own:] = slope[:, None] * slots
         load = self._loads(begins[:, None] + 0.5 * (edges[:-1] + edges[1:]), deviations)
         start = np.concatenate([np.diag(self.spread), np.zeros((nx, columns - nx))], axis=1)
-        by_parameters = np.concatenate([np.zeros((len(self.varied), own)), self._by_parameters()], axis=1)
+        by_parameters = np.concatenate(
+            [np.zeros((len(self.opened.varied), own)), self.opened.by_common], axis=1
+        )
         inertial = np.zeros((10 * n, columns))
-        for column, number in enumerate(self.nominal, start=own + len(self.slot_labels)):
+        for column, number in enumerate(self.nominal, start=own + len(self.opened.slot_labels)):
             if number.direction:
                 inertial[:, column] = number.direction
         inputs = Inputs(starts, begins - self.begin, torque, load)
@@ -288,16 +227,6 @@ class Shooting:
     def _torque(self, joint: str, edges: np.ndarray) -> np.ndarray:
         control = self.problem.robot.rates.control
         return torque_over(self.recording, (joint,), edges, control)[:, 0]
-
-    def _by_parameters(self) -> np.ndarray:
-        """(varied, common numbers)."""
-        out = np.zeros((len(self.varied), len(self.slot_labels) + len(self.nominal)))
-        for k, label in enumerate(self.slot_labels):
-            out[self.varied.index(label), k] = 1.0
-        for k, number in enumerate(self.nominal, start=len(self.slot_labels)):
-            if not number.direction:
-                out[self.varied.index(number.name), k] = number.std
-        return out
 
     def _loads(self, middle: np.ndarray, deviations: np.ndarray) -> np.ndarray:
         """(W, J, n) other inertial parameters as torques on the links at times (W, J), along the denoised
@@ -324,20 +253,20 @@ class Shooting:
         rate: float,
     ) -> Reduced:
         window, own = self.windows[k], self.own
-        late, late_by = self._delays.readings(numbers)
+        late, late_by = self.opened.delays.readings(numbers)
         time = (self.recording.time[window.rows] - window.start)[:, None]
         place = (time - late[None]) * rate  # (samples, m)
         low = np.clip(np.floor(place + ROUNDING).astype(int), 0, len(readings) - 2)
         share = place - low
-        channel = np.arange(len(self.keys))[None]
+        channel = np.arange(len(self.opened.keys))[None]
         y0, y1 = readings[low, channel], readings[low + 1, channel]
-        measured = self._measured[window.rows]
+        measured = self.opened.measured[window.rows]
         known = np.isfinite(measured) & (place >= -ROUNDING)
-        weight = known / self.noise
+        weight = known / self.opened.noise
         rest = np.where(known, y0 + share * (y1 - y0) - measured, 0.0) * weight
         gradient = by[low, channel] * (1.0 - share)[..., None] + by[low + 1, channel] * share[..., None]
         if np.any(late_by):
-            common = late_by @ self._by_parameters()  # (m, common)
+            common = late_by @ self.opened.by_common  # (m, common)
             gradient[:, :, own:] -= ((y1 - y0) * rate)[..., None] * common[None]
         gradient = (gradient * weight[..., None]).reshape(-1, gradient.shape[2])
         r = rest.ravel()
@@ -354,18 +283,3 @@ class Shooting:
             start_by[: self.model.nx] * self.spread[:, None],
             int(np.sum(known)),
         )
-
-
-def slot_label(effects: Sequence[Planned], slot: Slot) -> str:
-    """The name effect.joint.parameter of a free number."""
-    return labels(effects[slot.effect], slot.param.name, slot.param.size)[slot.component]
-
-
-def _offsets(robot: Robot, effects: Sequence[Planned]) -> list[Planned]:
-    """Encoder offsets that are free in each recording, as effects of the model."""
-    if robot.file.offsets != "per_recording":
-        return []
-    taken = {e.key for e in (*robot.effects, *effects)}
-    names = ("link_encoder_offset", "motor_encoder_offset")
-    wanted = [(name, j.name) for j in robot.joints for name in names[j.rigid :]]
-    return [effect(name, joint, offset=0.0) for name, joint in wanted if (name, joint) not in taken]

@@ -20,7 +20,7 @@ from flexjoint.diagnosis.regression.deviations import (
 from flexjoint.diagnosis.regression.nuisance import entangles
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.settings import RegressionSettings, Settings
-from flexjoint.effects import Parameter, Planned, Site
+from flexjoint.effects import Parameter, Planned
 
 MOST_DAMPING = 1e8  # of a scaled step: with more damping no step lowers the energy
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
@@ -232,7 +232,7 @@ def jacobian_of(problem: Problem, effects: Sequence[Planned], slots: Sequence[Sl
 def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndarray:
     """(samples,) derivative of the residual by one slot. It is the same at any noise level, and is remembered
     by the effects that it depends on."""
-    around = _around(effects, effects[slot.effect])
+    around = _around(problem, effects, effects[slot.effect])
     place = next(k for k, e in enumerate(around) if e is effects[slot.effect])
     own = replace(slot, effect=place)
 
@@ -247,12 +247,10 @@ def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndar
     return problem.remembered(f"by {place} {slot.param.name} {slot.component}", around, derivative)
 
 
-def _around(effects: Sequence[Planned], e: Planned) -> list[Planned]:
-    """The effects on which the change of the residual by an effect depends: all, or those of its joint where
-    it acts within that."""
-    if not acts_within_a_joint(e):
-        return list(effects)
-    return [other for other in effects if other.joint == e.joint and other.effect.site is not Site.BODY]
+def _around(problem: Problem, effects: Sequence[Planned], e: Planned) -> list[Planned]:
+    """The effects on which the change of the residual by an effect depends: all, where it does not act within
+    its joint."""
+    return problem.balances.beside(effects, e) if acts_within_a_joint(e) else list(effects)
 
 
 def _followed(
@@ -266,7 +264,7 @@ def _followed(
     computed again only if a number on which it depends has changed by more than a little: with many causes,
     few have."""
     far = {e.key for e, before in zip(effects, taken, strict=True) if not _near(e, before)}
-    anew = [any(other.key in far for other in _around(effects, e)) for e in effects]
+    anew = [any(other.key in far for other in _around(problem, effects, e)) for e in effects]
     at = [e if new else before for e, before, new in zip(effects, taken, anew, strict=True)]
     columns = [
         _column(problem, effects, slot) if anew[slot.effect] else row

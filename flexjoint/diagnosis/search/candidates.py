@@ -144,14 +144,16 @@ def _sensed(problem: Problem, candidate: Candidate, i: int, rows: set[str]) -> b
     return any(readings[c] for c in concerned)
 
 
-def may_replace(candidate: Candidate, e: Planned) -> bool:
-    """Whether a candidate can take the place of an effect. An effect that acts within a joint changes the
-    balances of that joint alone: only candidates of that joint, of the robot, or that act on other joints
-    than their own (a body, a shaft that two joints share) can explain that."""
-    if not acts_within_a_joint(e):
+def may_replace(candidate: Candidate, e: Planned, joints: Sequence[str]) -> bool:
+    """Whether a candidate can take the place of an effect of a robot with these joints. An effect that acts
+    within a joint changes the balances of that joint alone: only candidates of that joint, of the robot, of a
+    body, or of a shaft that this joint and the next share can explain that."""
+    if not acts_within_a_joint(e) or candidate.joint in (e.joint, None):
         return True
-    beyond = candidate.effect.site is Site.BODY or candidate.effect.reaches_before
-    return candidate.joint in (e.joint, None) or beyond
+    next_one = candidate.effect.reaches_before and joints.index(str(candidate.joint)) == (
+        joints.index(str(e.joint)) + 1
+    )
+    return candidate.effect.site is Site.BODY or next_one
 
 
 def _moves(problem: Problem, i: int) -> bool:

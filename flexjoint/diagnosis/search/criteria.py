@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexjoint.diagnosis.regression.fit import Fit, fit, held_beside, refit_without, shifts
-from flexjoint.diagnosis.regression.nuisance import NUMBERS
+from flexjoint.diagnosis.regression.nuisance import NUMBERS, NominalNumber
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
-from flexjoint.effects import Kind, Parameter, Planned, Site
+from flexjoint.effects import Kind, Parameter, Planned, Site, catalogue
 from flexjoint.rigidbody.numeric import inertial_of
 
 LEVEL_ROUNDS = 5  # fits at most, each at the noise level that the last one left, until
@@ -157,7 +157,7 @@ def supported(trial: Fit, without: Fit, added: Planned) -> bool:
 
 
 def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
-    if degenerate(trial.problem, added) or score(trial) >= score(without):
+    if degenerate(trial.problem, added) or score(trial) >= score(without) or stands_in(trial, added):
         return False
     if shared_by_tolerances(trial, without, added) or _between_samples(trial, added):
         return False
@@ -169,12 +169,33 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
     if beside:
         # what the other causes on the joint explain is known only up to the error of the method, and a new
         # effect may fit that error; one that leaves next to nothing does not
-        alone = fit(trial.problem, [e for e in trial.effects if e not in beside])
+        others = [e for e in trial.effects if e not in beside]
+        alone = fit(trial.problem, others, held=held_beside(others, added))
         if gained < _method_error(trial, gained) * (alone.energy - trial.energy):
             return False
     if contradicted(trial, without):
         return False
     return shown_by_motion(trial, gained, added) and material(trial, added, gained)
+
+
+def stands_in(trial: Fit, added: Planned) -> bool:
+    """Whether an effect of two joints explains no more than ordinary friction of both (`Effect.ordinary`) in
+    its place. Every machine has that, and one law that imitates it on two joints at once would come first."""
+    if not added.effect.reaches_before or added.joint is None:
+        return False
+    names = trial.problem.robot.joint_names
+    i = names.index(added.joint)
+    taken = {e.key for e in trial.effects}
+    ordinary = [
+        Planned.of(e.name, joint, {p.name: added.values[p.name] for p in e.params}, since=added.since)
+        for e in catalogue().values()
+        for joint in names[i - 1 : i + 1]
+        if e.ordinary and (e.name, joint) not in taken and {p.name for p in e.params} <= set(added.values)
+    ]
+    if not ordinary:
+        return False
+    others = [e for e in trial.effects if e is not added]
+    return fit(trial.problem, [*others, *ordinary]).energy <= trial.energy
 
 
 def _between_samples(trial: Fit, added: Planned) -> bool:
@@ -342,8 +363,7 @@ def tolerated(problem: Problem, added: Planned) -> bool:
     if k is None:
         return False
     number, (param,) = problem.nuisance[k], added.effect.nulls
-    damping = problem.robot.joint(str(number.joint)).drive.D_m if number.name == "motor_damping" else 1.0
-    return bool(abs(added.values[param.name]) <= problem.settings.search.tolerated * number.std * damping)
+    return bool(abs(added.values[param.name]) <= problem.settings.search.tolerated * _spread(problem, number))
 
 
 def shared_by_tolerances(trial: Fit, without: Fit, added: Planned) -> bool:
@@ -363,9 +383,16 @@ def own_number(problem: Problem, added: Planned) -> int | None:
     for k, number in enumerate(problem.nuisance):
         name = "motor_viscous_friction" if number.name == "motor_damping" else number.name
         nominal = number.name in NUMBERS or number.name.endswith("_encoder_offset")
-        if nominal and number.std > 0.0 and (name, number.joint) == added.key:
+        if nominal and _spread(problem, number) > 0.0 and (name, number.joint) == added.key:
             return k
     return None
+
+
+def _spread(problem: Problem, number: NominalNumber) -> float:
+    """One deviation of a nominal number in the unit of the effect that changes it: a damping's is a share of
+    it, and none where the model has no damping."""
+    damping = problem.robot.joint(str(number.joint)).drive.D_m if number.name == "motor_damping" else 1.0
+    return float(number.std * damping)
 
 
 def torque_shares(problem: Problem, effects: Sequence[Planned], index: int) -> np.ndarray:

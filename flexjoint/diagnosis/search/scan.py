@@ -126,10 +126,11 @@ class Scanner:
         against = [_Against(current) for current in share.currents]
         best: list[dict[int, Scored]] = [{} for _ in against]
         taken = {e.key for e in share.currents[0].effects}
+        joints = share.currents[0].problem.robot.joint_names
         for part in share.parts:
             waiting = [k for k in part if self.candidates[k].key not in taken]
             if share.replaced is not None:
-                waiting = [k for k in waiting if may_replace(self.candidates[k], share.replaced)]
+                waiting = [k for k in waiting if may_replace(self.candidates[k], share.replaced, joints)]
             every = (t for k in waiting for t in self._traced(k, against, share.processes))
             for batch in _batches(every):
                 self._score_batch(batch, against, best)
@@ -228,7 +229,7 @@ def _score(
     if trace.kind == "whole":
         amplitude = np.clip(amplitude, 0.0, settings.most_amplitude)
     elif trace.kind == "amplitudes":
-        amplitude = _within_bounds(trace, amplitude)
+        amplitude = _bounded(trace, amplitude, curvature, force)
     removes = -(2.0 * np.sum(amplitude * force, axis=1))
     removes -= np.einsum("bk,bkl,bl->b", amplitude, curvature, amplitude)
     at = int(np.argmax(removes))
@@ -285,8 +286,8 @@ class _Against:
         self.free = free_part.reshape(len(free_part), self.rows, time.size)
 
     def around(self, candidate: Candidate) -> list[Planned]:
-        """The effects on whose top a candidate's traces are taken: its joint's, with rounded numbers."""
-        return [e for e in self._rounded if e.joint == candidate.joint]
+        """The effects on whose top a candidate's traces are taken, with rounded numbers."""
+        return self.current.problem.balances.beside(self._rounded, candidate.planned({}))
 
     def fixed(self, batch: Sequence[_Traced]) -> np.ndarray:
         """(blocks, rows - first, k, numbers) products of the columns with the nominal numbers' plain ones, as
@@ -336,11 +337,26 @@ def rounded(e: Planned) -> Planned:
     return e.with_values(values)
 
 
+def _bounded(trace: Trace, amplitude: np.ndarray, curvature: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """(blocks, k) amplitudes within their bounds: where one is at its bound, the others are solved again."""
+    out = _within_bounds(trace, amplitude)
+    for block in np.flatnonzero(np.any(out != amplitude, axis=1)):
+        free = out[block] == amplitude[block]
+        if not np.any(free):
+            continue
+        pull = force[block][free] + curvature[block][np.ix_(free, ~free)] @ out[block][~free]
+        own = curvature[block][np.ix_(free, free)]
+        size = np.maximum(np.sqrt(np.maximum(np.diag(own), 0.0)), 1e-9)
+        scaled = own / np.outer(size, size) + 1e-9 * np.eye(size.size)
+        out[block][free] = -np.linalg.solve(scaled, pull / size) / size
+    return _within_bounds(trace, out)
+
+
 def _within_bounds(trace: Trace, amplitude: np.ndarray) -> np.ndarray:
     limits = {p.name: (p.low, p.high) for p in trace.candidate.effect.params}
     out = amplitude.copy()
     for k, (name, trial) in enumerate(trace.trial.items()):
         low, high = limits[name]
-        value = np.clip(trace.origin[name] + out[:, k] * trial, low, high)
-        out[:, k] = (value - trace.origin[name]) / trial
+        least, most = (low - trace.origin[name]) / trial, (high - trace.origin[name]) / trial
+        out[:, k] = np.clip(out[:, k], min(least, most), max(least, most))
     return out

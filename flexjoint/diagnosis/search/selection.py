@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, refit_without
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Step
 from flexjoint.diagnosis.search.candidates import Candidate
@@ -21,6 +21,7 @@ from flexjoint.diagnosis.search.criteria import (
     only_by_implausible,
     price,
     score,
+    stands_in,
     supported,
     unexplained_energy,
 )
@@ -38,6 +39,7 @@ from flexjoint.diagnosis.search.trials import (
 from flexjoint.effects import Planned, catalogue
 
 STAGE = "search"  # in the trace
+PRUNED = "beside the others it no longer explains its price"
 LEFT_OUT = (
     "the time allowed was over during the search: further causes were not looked for, and not every cause was"
     " compared with its rivals"
@@ -103,6 +105,8 @@ def _select(problem: Problem, search: Search, report: Progress, start: Sequence[
     compared: dict[Key, frozenset[Key]] = {}  # effects with their rivals, and what was beside them then
     while True:
         best = _grown(best, search, report, seen, scans, trace)
+        grown, best = best, prune(best, search.pool)
+        trace += steps_between(grown, best, STAGE, "price", PRUNED)
         report(0.9, "comparing rival causes")
         places = [e for e in best.effects if compared.get(e.key) != _neighbours(best, e)]
         before, (best, rivals) = best, exchange(search, best, places)
@@ -110,7 +114,7 @@ def _select(problem: Problem, search: Search, report: Progress, start: Sequence[
         compared = {e.key: _neighbours(best, e) for e in best.effects}
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.pool)
         if pairs and len(best.effects) < most_effects(problem):
-            pair = prune(choose(pairs))
+            pair = prune(choose(pairs), search.pool)
             if _keys(pair) not in seen and _still_better(pair, best):
                 trace += steps_between(
                     best, pair, STAGE, "pair with a rival", "the pair clears what was wrong"
@@ -141,6 +145,7 @@ def _grown(
 ) -> Fit:
     """The set with causes added one by one, as long as the data support another one; sets that were `seen`
     are not tried again."""
+    standing: dict[Key, frozenset[Key]] = {}  # effects that were found supported, and what was beside them
     while len(best.effects) < most_effects(best.problem) and not search.budget.spent:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
@@ -152,16 +157,16 @@ def _grown(
         if grown is None:
             break
         grown = _with_other_joints(grown, found)
-        before, best = best, prune(grown)
+        before, best = best, prune(grown, search.pool, standing)
         if _keys(best) in seen:  # it would lead there again
             return before
         trace += steps_between(before, grown, STAGE, "price", "it explains more than its price")
-        why = "beside the others it no longer explains its price"
-        trace += steps_between(grown, best, STAGE, "price", why)
+        trace += steps_between(grown, best, STAGE, "price", PRUNED)
+        standing = {e.key: _neighbours(best, e) for e in best.effects}
         seen.add(_keys(best))
         newest = {e.joint for e in best.effects if e.key not in _keys(before)}
         older = [e for e in best.effects if e.joint in newest and e.key in _keys(before)]
-        before, (best, _) = best, exchange(search, best, older)
+        before, (best, _) = best, exchange(search, best, older, everywhere=False)
         trace += _exchanged(before, best)
     return best
 
@@ -169,14 +174,13 @@ def _grown(
 def _with_other_joints(grown: Fit, found: Sequence[Fit]) -> Fit:
     """The set with the best of the other sets' causes on each other joint as well: one round serves all
     joints, as a cause that acts within its joint does not replace one on another joint. A load acts on many
-    joints: as long as a set with a load is among those found, causes enter one by one."""
-    newest = [f.effects[-1] for f in found]
-    if not all(acts_within_a_joint(e) for e in newest):
-        return grown
-    joints = {grown.effects[-1].joint}
-    others: list[Planned] = []
-    for trial in sorted(found, key=score):
+    joints, and may replace causes on all of them: only sets that are better than the best one with a load
+    count."""
+    joints, others = {grown.effects[-1].joint}, []
+    for trial in [grown, *sorted(found, key=score)]:
         e = trial.effects[-1]
+        if not acts_within_a_joint(e):
+            break
         if e.joint not in joints:
             joints.add(e.joint)
             others.append(e)
@@ -238,10 +242,12 @@ def granted(fits: Sequence[Fit], explained: float) -> float:
 
 
 def exchange(
-    search: Search, result: Fit, places: Sequence[Planned]
+    search: Search, result: Fit, places: Sequence[Planned], everywhere: bool = True
 ) -> tuple[Fit, tuple[tuple[Fit, ...], ...]]:
     """Try other candidates in the place of some effects, and keep those that score better. Returns the set
-    and, for each of its effects, the fits with a rival in its place, best first."""
+    and, for each of its effects, the fits with a rival in its place, best first. After an exchange all
+    effects are asked, or only those that it touches if not `everywhere`: then rivals of the others may be
+    those of a set before."""
     rivals: dict[Key, tuple[Fit, ...]] = {}
     waiting = [e.key for e in places]
     exchanges = 0  # bounded, so that two equals do not alternate for ever
@@ -258,15 +264,21 @@ def exchange(
         needed = without.energy - result.energy
         tried = polish(without, search.scan(without, replaced), needed, search.pool)
         fits = [f for f in tried if f.effects[-1].key != key]
-        fits = [f for f in fits if not contradicted(f, without)]
-        fits += [alone for f in fits for alone in containing(f, key[0])]
+        fits = [f for f in fits if not (contradicted(f, without) or stands_in(f, f.effects[-1]))]
+        fits += [
+            alone for more in search.pool.map(_containing, [(f, key[0]) for f in fits]) for alone in more
+        ]
         swapped = choose([result, *fits])
         if swapped is not result and exchanges < result.settings.search.most_exchanges:
             exchanges += 1
             refitted = at_own_level(swapped)
             if _still_better(refitted, result):
-                result = prune(refitted)
-                waiting = [e.key for e in result.effects]
+                before, result = result, prune(refitted, search.pool)
+                waiting = [
+                    e.key
+                    for e in result.effects
+                    if everywhere or e.key in waiting or _neighbours(result, e) != _neighbours(before, e)
+                ]
                 continue
         rivals[key] = tuple(sorted(fits, key=score))
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
@@ -277,6 +289,10 @@ def _still_better(refitted: Fit, result: Fit) -> bool:
     if degenerate(refitted.problem, refitted.effects[-1]):
         return False
     return choose([fit(refitted.problem, result.effects), refitted]) is refitted
+
+
+def _containing(task: tuple[Fit, str]) -> list[Fit]:
+    return [evaluated(f) for f in containing(*task)]
 
 
 def containing(result: Fit, replaced: str) -> list[Fit]:
@@ -305,20 +321,28 @@ def united(result: Fit) -> Fit:
     return result
 
 
-def prune(result: Fit) -> Fit:
+def prune(result: Fit, pool: WorkerPool, standing: Mapping[Key, frozenset[Key]] | None = None) -> Fit:
     """Drop, one by one, the effects that the data do not support beside the others. A special case of an
-    effect's law takes its place where the data support that."""
-    result = united(result)
+    effect's law takes its place where the data support that. Effects that were supported beside the same
+    neighbours (`standing`) are not asked again."""
+    result, known = united(result), standing or {}
     while len(result.effects) > 1:
-        smaller: list[Fit] = []
-        for dropped in result.effects:
-            without = refit_without(result, dropped)
-            if not supported(result, without, dropped):
-                smaller.append(min([without, *_simpler(result, without, dropped)], key=score))
+        asked = [e for e in result.effects if known.get(e.key) != _neighbours(result, e)]
+        smaller = [f for f in pool.map(_without_unsupported, [(result, e) for e in asked]) if f is not None]
         if not smaller:
             return result
         result = min(smaller, key=score)
     return result
+
+
+def _without_unsupported(task: tuple[Fit, Planned]) -> Fit | None:
+    """The set without one of its effects, or with a simpler law in its place; None where the data support
+    that effect."""
+    result, dropped = task
+    without = refit_without(result, dropped)
+    if supported(result, without, dropped):
+        return None
+    return evaluated(min([without, *_simpler(result, without, dropped)], key=score))
 
 
 def _simpler(result: Fit, without: Fit, effect: Planned) -> list[Fit]:

@@ -220,7 +220,7 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     )
     if not relieved and not _clears(best, levels, _marked(refitted, 1)):
         return None
-    without = fit(refitted.problem, best.effects)
+    without = fit(refitted.problem, best.effects, held=held_beside(best.effects, trial.effects[-1]))
     better = supported(refitted, without, refitted.effects[-1]) and not only_by_implausible(refitted, best)
     return refitted if better else None
 

@@ -17,9 +17,10 @@ LARGEST = 60_000  # operations: a compiler takes more than proportional time for
 EXPORT = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n'
 
 
-def compiling_pays(functions: Sequence[ca.Function], evaluations: int) -> bool:
-    """Whether so many evaluations are quicker with the compiler's time than without both."""
-    return evaluations > BREAK_EVEN and sum(f.n_instructions() for f in functions) < LARGEST
+def compiling_pays(operations: int, evaluations: int) -> bool:
+    """Whether so many evaluations of so many operations are quicker with the compiler's time than without
+    both."""
+    return evaluations > BREAK_EVEN and operations < LARGEST
 
 
 def compiled(functions: Sequence[ca.Function]) -> list[ca.Function]:
