@@ -167,7 +167,8 @@ def _descend(
     derivatives; `bent` (`_bent`) is added to all residuals."""
     y = problem.residual(current) + bent
     energy = problem.energy(y) + _prior(problem, slots, current)
-    damping, taken = 1e-3, current  # where each column was taken
+    damping = 1e-3
+    taken: list[Sequence[Planned]] = [current] * len(current)  # where each effect's columns were
     jacobian = jacobian_of(problem, current, slots)
     moving = [slot for slot, moves in zip(slots, free, strict=True) if moves]
     for _ in range(iterations if moving else 0):
@@ -189,9 +190,11 @@ def _descend(
         gained = energy - trial_energy
         current, y, energy = trial, trial_y, trial_energy
         damping = max(damping * 0.1, 1e-9)
-        jacobian, taken = _followed(problem, current, slots, jacobian, taken)
+        jacobian, taken = _followed(problem, current, slots, jacobian, taken, free)
         if gained < enough:
             break
+    # of numbers that are held derivatives are wanted in the end only
+    jacobian, _ = _followed(problem, current, slots, jacobian, taken, np.ones(len(slots), dtype=bool))
     return current, y, jacobian
 
 
@@ -258,14 +261,19 @@ def _followed(
     effects: Sequence[Planned],
     slots: Sequence[Slot],
     jacobian: np.ndarray,
-    taken: Sequence[Planned],
-) -> tuple[np.ndarray, list[Planned]]:
-    """The derivatives at the current values, and the values at which each was computed. A derivative is
-    computed again only if a number on which it depends has changed by more than a little: with many causes,
-    few have."""
-    far = {e.key for e, before in zip(effects, taken, strict=True) if not _near(e, before)}
-    anew = [any(other.key in far for other in _around(problem, effects, e)) for e in effects]
-    at = [e if new else before for e, before, new in zip(effects, taken, anew, strict=True)]
+    taken: Sequence[Sequence[Planned]],
+    wanted: np.ndarray,
+) -> tuple[np.ndarray, list[Sequence[Planned]]]:
+    """The derivatives of the slots that are `wanted` (bool) at the current values, and the values at which
+    those of each effect were computed. A derivative is computed again only if a number on which it depends
+    has changed by more than a little: with many causes, few have."""
+    asked = {slot.effect for slot, want in zip(slots, wanted, strict=True) if want}
+    anew, at = np.zeros(len(effects), dtype=bool), list(taken)
+    for before in {id(one): one for one in taken}.values():
+        far = {now.key for now, then in zip(effects, before, strict=True) if not _near(now, then)}
+        for k in asked if far else ():
+            if taken[k] is before and any(e.key in far for e in _around(problem, effects, effects[k])):
+                anew[k], at[k] = True, effects
     columns = [
         _column(problem, effects, slot) if anew[slot.effect] else row
         for slot, row in zip(slots, jacobian, strict=True)
@@ -275,6 +283,8 @@ def _followed(
 
 def _near(e: Planned, before: Planned) -> bool:
     """Whether no number of an effect is far from what it was."""
+    if e is before:
+        return True
     for param in e.effect.params:
         now, then = (np.ravel(one.values[param.name]) for one in (e, before))
         if np.any(np.abs(now - then) > NEAR * (1.0 if param.wraps else np.abs(then))):

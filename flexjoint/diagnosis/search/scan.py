@@ -331,8 +331,9 @@ def rounded(e: Planned) -> Planned:
     anew where numbers have moved by little."""
     values = {}
     for param in e.effect.params:
-        mantissa, exponent = np.frexp(np.ravel(e.values[param.name]))
-        near = np.ldexp(np.round(mantissa * ROUNDED) / ROUNDED, exponent)
+        numbers = np.ravel(e.values[param.name])
+        _, exponent = np.frexp(np.max(np.abs(numbers)))  # a vector's small components matter as little
+        near = np.ldexp(np.round(np.ldexp(numbers, -exponent) * ROUNDED) / ROUNDED, exponent)
         values[param.name] = float(near[0]) if param.size == 1 else tuple(map(float, near))
     return e.with_values(values)
 
