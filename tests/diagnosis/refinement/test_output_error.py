@@ -13,6 +13,7 @@ from support.diagnose_cases import Case, as_recording, findings_of, nominal
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.refinement import refined, sensitivities
+from flexjoint.diagnosis.refinement.open_model import OpenModel
 from flexjoint.diagnosis.refinement.sensitivities import (
     Directions,
     Inputs,
@@ -25,11 +26,12 @@ from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Diagnosis, Estimation, Finding, Fitted, sentences, to_json
 from flexjoint.diagnosis.search.criteria import at_own_level
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned, effect
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.symbolic import SymbolicModel
 from flexjoint.recording.table import Recording
-from flexjoint.robot.robot import Robot
+from flexjoint.robot.robot import Robot, load, shipped_robots
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import rollout
 from flexjoint.simulation.sensors import readings
@@ -191,6 +193,18 @@ def test_compiled_sensitivities_are_the_same(monkeypatch: pytest.MonkeyPatch) ->
     np.testing.assert_allclose(one.by, other.by, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["rrbot", "kr300"])
+def test_the_cost_of_a_step_is_known_before_its_derivatives_are_made(name: str) -> None:
+    robot = load(shipped_robots()[name])
+    symbolic = SymbolicModel(robot, [link_load(joint) for joint in robot.joint_names], free=("drives",))
+    derivatives = StepDerivatives(symbolic, list(symbolic.parameters)[:4], symbolic.reading_names[:2], 0)
+
+    counted = derivatives.cost(columns=0) / sensitivities.INTERPRETED
+    made = sum(function.n_instructions() for function in derivatives._functions)
+
+    assert 0.4 < counted / made < 2.5  # it decides how many windows are simulated, not what they say
+
+
 # --------------------------------------------------------------------------- numbers
 def cause(name: str, joint: str, **values: object) -> Planted:
     return Planted(name, joint, values)
@@ -330,6 +344,33 @@ def test_a_model_that_does_not_follow_keeps_the_balances_numbers() -> None:
     assert found == before
     assert estimation.method == "balances"
     assert estimation.why
+
+
+def test_windows_that_the_recordings_time_does_not_allow_are_left_out() -> None:
+    best = balanced(0)
+    every = Shooting(OpenModel(best.problem, best.effects, best.slots), 0.2)
+
+    def slow(share: float) -> Fit:
+        refinement = replace(USUAL.refinement, linearisation=share)
+        balances = balances_of(*recorded(0), replace(USUAL, refinement=refinement))
+        return fit(Problem(balances), best.effects)
+
+    some = slow(0.5 * USUAL.refinement.linearisation * cost_share(every))
+    few = Shooting(OpenModel(some.problem, some.effects, some.slots), 0.2)
+    assert len(few.windows) == pytest.approx(0.5 * len(every.windows), abs=1)
+    # from the begin to the end
+    assert few.windows[-1].start > every.windows[-3].start
+
+    found, estimation = refined.refine(slow(1e-9), findings_of(best))
+    assert found == tuple(findings_of(best))
+    assert "can be simulated in its own time" in estimation.why
+
+
+def cost_share(shooting: Shooting) -> float:
+    """What one linearisation of all windows costs, as a share of what it may."""
+    opened, time = shooting.opened, shooting.recording.time
+    seconds = shooting.steps * len(shooting.windows) * opened.derivatives(0).cost(shooting.columns)
+    return float(seconds / (USUAL.refinement.linearisation * np.ptp(time)))
 
 
 @pytest.mark.parametrize("later", [0, 2, 3])
