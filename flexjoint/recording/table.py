@@ -22,7 +22,7 @@ import pyarrow.parquet
 from flexjoint.core.errors import RecordingError, unknown
 from flexjoint.core.files import whole_file
 from flexjoint.core.limits import RECORDING
-from flexjoint.core.messages import shown
+from flexjoint.core.messages import cut, shown
 from flexjoint.recording.messages import refusal
 from flexjoint.recording.stamps import repaired
 
@@ -44,6 +44,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 MEASURED = ("q", "dq", "theta", "dtheta", "tau_t")  # what a simulation is compared on
+LONGEST_LIST = 400  # characters of the joints that a recording prints
 MINIMUM_SAMPLES = RECORDING.rows
 LEAST_PRESENT = 0.05  # of a column's rows
 LARGEST = RECORDING.value  # in the unit of any channel
@@ -77,6 +78,15 @@ class Recording:
     def period(self) -> float:
         """Typical sampling period [s] (median)."""
         return float(np.median(np.diff(self.time)))
+
+    def __str__(self) -> str:
+        channels = dict.fromkeys(channel for channel, _ in self.columns)
+        rate = 1.0 / self.period if self.time.size > 1 else 0.0
+        return (
+            f"{shown(self.name)}: {self.duration:.4g} s at {rate:.4g} Hz, {self.time.size} samples\n"
+            f"joints: {cut(', '.join(map(shown, self.joints)), LONGEST_LIST)}\n"
+            f"channels: {cut(', '.join(map(shown, channels)), LONGEST_LIST)}"
+        )
 
     def has(self, channel: str, joint: str) -> bool:
         return (channel, joint) in self.columns

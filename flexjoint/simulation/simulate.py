@@ -40,6 +40,9 @@ class Simulation:
     true: Recording
     trajectory: Trajectory
 
+    def __str__(self) -> str:
+        return f"simulated {self.measured}"
+
 
 def simulate(
     model: FlexibleJointModel | Robot,

@@ -256,3 +256,15 @@ def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
         recording.write(read, tmp_path / "folder" / "out.txt")
     assert out.read_bytes() == before
     assert [path.name for path in out.parent.iterdir()] == ["out.csv"]
+
+
+def test_a_recording_prints_what_it_holds_and_not_its_samples() -> None:
+    time = np.arange(200) / 100
+    joints = [f"joint_{k}" for k in range(200)]
+    one = recording.make(
+        time, {("q", "elbow"): np.sin(time), ("theta", "elbow\x1b[31m"): np.sin(time)}, "log"
+    )
+    many = recording.make(time, {("q", joint): np.sin(time) for joint in joints})
+
+    assert str(one) == "log: 1.99 s at 100 Hz, 200 samples\njoints: elbow, elbow\\x1b[31m\nchannels: q, theta"
+    assert len(str(many)) < 600
