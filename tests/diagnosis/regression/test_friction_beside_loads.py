@@ -74,7 +74,7 @@ def test_the_derivative_by_a_level_is_that_of_the_whole_residual(joint: str) -> 
     whole = (here.residual(moved) - here.residual(effects)) / step
 
     assert np.linalg.norm(whole) > 100.0
-    # without the payload the friction holds another torque at rest: a third of the derivative's size
+    # without the payload the friction would hold another torque at rest
     assert np.linalg.norm(by_level - whole) < 1e-6 * np.linalg.norm(whole)
 
 
