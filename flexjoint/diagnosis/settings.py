@@ -408,6 +408,12 @@ class SearchSettings(Stage):
         "that a cause, or a finer law, must explain at least, and by which ties may differ",
         "judgement",
     )
+    ordinary_share: float = number(
+        0.5,
+        "share of a joint's error (RMS)",
+        "that its ordinary friction may leave where it is taken as the first thing that several joints lack",
+        "judgement",
+    )
     # --- the method's own error
     method_error: float = number(
         1e-3,

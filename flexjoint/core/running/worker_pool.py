@@ -17,6 +17,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import wraps
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -42,42 +43,66 @@ class WorkerPool:
         self._shared = list(shared)
         self._places = {id(one): place for place, one in enumerate(self._shared)}
         self._others: list[tuple[BaseProcess, Connection]] = []
+        self._waiting = _Numbers()  # of items that nobody has taken; made when others are forked
 
     @property
     def size(self) -> int:
         return 1 + len(self._others)
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """`function` of every item, in order; item k is always asked of process k modulo their number. The
-        function is one of a module, or a method of something shared.
+        """`function` of every item, in order; whoever is free takes the next one. The function is one of a
+        module, or a method of something shared.
 
         Raises what the function raises; a process that was killed is done without."""
-        size = self.size
-        for k, (_, pipe) in enumerate(self._others, start=1):
-            if items[k::size]:
-                self._send(pipe, (function, items[k::size]))
-        out: list[Any] = [None] * len(items)
+        if not self._others or len(items) > _Numbers.MOST:
+            return self.each(function, items)
+        self._waiting.put(len(items))
+        return self._shared_out(function, items, [None] * self.size)
+
+    def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+        """The same, with item k always asked of process k modulo their number, which may remember what it
+        made for the last one."""
+        parts = [range(k, len(items), self.size) for k in range(self.size)]
+        return self._shared_out(function, items, parts)
+
+    def _shared_out(
+        self, function: Callable[[Item], Result], items: Sequence[Item], parts: Sequence[range | None]
+    ) -> list[Result]:
+        """`function` of every item; of each process those of its part, or any that nobody has taken."""
+        asked = self._others if len(items) > 1 else []
+        for (_, pipe), part in zip(asked, parts[1:], strict=False):
+            self._send(pipe, (function, items, part))
+        out: dict[int, Any] = {}
         try:
-            out[::size] = [function(item) for item in items[::size]]
+            out |= self._done(function, items, parts[0])
         except BaseException:
             self.dismiss()  # answers that nobody waits for would be taken for those to the next question
             raise
-        for k, other in list(enumerate(self._others, start=1)):
-            if items[k::size]:
-                out[k::size] = self._answer(other, function, items[k::size])
-        return out
+        for other in list(asked):
+            try:
+                out |= self._received(other[1])
+            except (EOFError, OSError):
+                self._others.remove(other)
+        lost = [k for k in range(len(items)) if k not in out]  # of a process that was killed
+        out |= self._done(function, items, lost)
+        failed = [out[k] for k in range(len(items)) if isinstance(out[k], _Failed)]
+        if failed:
+            raise failed[0].error
+        return [out[k] for k in range(len(items))]
 
-    def _answer(
-        self, other: tuple[BaseProcess, Connection], function: Callable[[Item], Result], items: Sequence[Item]
-    ) -> list[Result]:
-        try:
-            done, answer = self._received(other[1])
-        except (EOFError, OSError):
-            self._others.remove(other)
-            return [function(item) for item in items]
-        if not done:
-            raise answer
-        return list(answer)
+    def _done(
+        self, function: Callable[[Item], Result], items: Sequence[Item], part: Iterable[int] | None
+    ) -> dict[int, Result | _Failed]:
+        """`function` by item, of those of a part, or of any that nobody has taken. After one that fails all
+        others are left alone, as if they had failed, too."""
+        out: dict[int, Result | _Failed] = {}
+        for k in self._waiting if part is None else part:
+            failed = next((one for one in out.values() if isinstance(one, _Failed)), None)
+            try:
+                out[k] = failed or function(items[k])
+            except Exception as error:  # raised again by who asked
+                out[k] = _Failed(error)
+        return out
 
     def _send(self, pipe: Connection, message: object) -> None:
         buffer = io.BytesIO()
@@ -93,6 +118,8 @@ class WorkerPool:
     def fork(self, count: int) -> None:
         """Fork `count` more processes."""
         context = multiprocessing.get_context("fork")
+        if count:
+            self._waiting.open()
         for _ in range(count):
             here, there = context.Pipe()
             process = context.Process(target=self._serve, args=(there, here), daemon=True)
@@ -112,16 +139,12 @@ class WorkerPool:
         self._others = []
         while True:
             try:
-                function, items = self._received(pipe)
+                function, items, part = self._received(pipe)
             except (EOFError, OSError):
                 return
-            answer: tuple[bool, object]
-            try:
-                answer = True, [function(item) for item in items]
-            except Exception as error:  # raised again by who asked
-                answer = False, error
+            answer = self._done(function, items, part)
             self._send(pipe, answer)
-            del function, items, answer
+            del function, items, part, answer
 
     def dismiss(self) -> None:
         for process, pipe in self._others:
@@ -129,6 +152,47 @@ class WorkerPool:
             process.join()
             pipe.close()
         self._others = []
+        self._waiting.close()
+
+
+@dataclass(frozen=True)
+class _Failed:
+    """In the place of a result."""
+
+    error: Exception
+
+
+class _Numbers:
+    """Numbers from 0 that several processes take, each once. They wait in a pipe, of which a process that is
+    killed holds no lock."""
+
+    BYTES = 4  # of a number: a pipe gives so few to one reader only
+    MOST = 65536 // BYTES  # that a pipe holds
+
+    def __init__(self) -> None:
+        self._ends: tuple[int, ...] = ()
+
+    def open(self) -> None:
+        if not self._ends:
+            self._ends = os.pipe()
+            os.set_blocking(self._ends[0], False)
+
+    def put(self, count: int) -> None:
+        """Numbers below `count`, where none is left over."""
+        os.write(self._ends[1], b"".join(k.to_bytes(self.BYTES, "little") for k in range(count)))
+
+    def __iter__(self) -> Iterator[int]:
+        while True:
+            try:
+                taken = os.read(self._ends[0], self.BYTES)
+            except BlockingIOError:
+                return
+            yield int.from_bytes(taken, "little")
+
+    def close(self) -> None:
+        for end in self._ends:
+            os.close(end)
+        self._ends = ()
 
 
 @contextmanager

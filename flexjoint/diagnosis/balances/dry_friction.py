@@ -67,17 +67,29 @@ class DryFriction:
         most_at_rest = self.settings.most_at_rest
         least, most = -most_at_rest * backward, most_at_rest * forward
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
+        filtered = _moving(speed, rest)
         reach = 2 * int(np.ceil(self.settings.ringing * self._sigma / window.period)) + 1
         for further in reversed(range(FRICTION_ROUNDS)):
             # the filtered speed must say so, too: where a body stands for longer than the filter between two
             # motions, the iteration would become unstable
-            moving = (np.abs(sharp_speed) > rest) & (np.sign(sharp_speed) * speed > rest)
-            near = maximum_filter1d(moving, reach)
-            sticking = np.clip(np.where(near, sharp_net, denoised_net + lost), least, most)
-            friction = np.where(moving, np.where(sharp_speed < 0.0, -backward, forward), sticking)
+            ahead, back = np.minimum(_moving(sharp_speed, rest), filtered)
+            moving = ahead + back
+            near, far_net = maximum_filter1d(moving, reach), denoised_net + lost
+            sticking = np.clip(far_net + near * (sharp_net - far_net), least, most)
+            friction = ahead * forward - back * backward + (1.0 - moving) * sticking
             spectrum = window.spectrum(friction)
             if further:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 sharp_net = net + lost
                 sharp_speed = speed - integral / inertia
-        return -spectrum * window.gain, ~moving & (least < sticking) & (sticking < most)
+        return -spectrum * window.gain, (moving < 0.5) & (least < sticking) & (sticking < most)
+
+
+def _moving(speed: np.ndarray, rest: float) -> np.ndarray:
+    """(2, N) share of the time about each sample in which a speed (N,), linear meanwhile, is above the `rest`
+    speed, forward and backward. A law that switched with the sample would jump with every number of a fit."""
+    change = np.empty_like(speed)
+    change[1:-1] = 0.5 * np.abs(speed[2:] - speed[:-2])
+    change[0], change[-1] = np.abs(speed[1] - speed[0]), np.abs(speed[-1] - speed[-2])
+    shares = np.array([speed - rest, -speed - rest]) / np.maximum(change, 1e-300) + 0.5
+    return np.minimum(np.maximum(shares, 0.0, out=shares), 1.0, out=shares)

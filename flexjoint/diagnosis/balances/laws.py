@@ -242,11 +242,11 @@ class Laws:
                 turns = np.array(coupling.matrix)
                 mass[at] = turns.T @ mass[at] @ turns
         if all(robot.joints[i].rigid for i in joints):
-            mass = mass + np.mean(self.motion.rigid.mass[:, joints][:, :, joints], axis=0)
+            mass = mass + self.motion.rigid.mean_mass[np.ix_(joints, joints)]
         return mass
 
     def link_inertia(self, i: int) -> float:
-        return float(np.mean(self.motion.rigid.mass[:, i, i]))
+        return float(self.motion.rigid.mean_mass[i, i])
 
     # ------------------------------------------------------------------ helpers
     def state(self, e: Planned, signals: Signals) -> np.ndarray | float:

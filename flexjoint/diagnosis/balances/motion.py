@@ -87,6 +87,11 @@ class Rigid:
         return self._derivatives[2]
 
     @cached_property
+    def mean_mass(self) -> np.ndarray:
+        """(n, n) mean of the mass matrices."""
+        return np.asarray(np.mean(self.mass, axis=0))
+
+    @cached_property
     def by_gravity(self) -> np.ndarray:
         """(3, n, N) torque per unit of gravity along each base axis."""
         model, (at, v, _) = self.robot.model, self.motion

@@ -26,6 +26,9 @@ MOST_DAMPING = 1e8  # of a scaled step: with more damping no step lowers the ene
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below any price
 LEAST_VARIANCE = 1e-200  # of a number: what is less is rounding
+NOTHING = 1e-3  # of that gain: a step that promises less is none
+NEARLY_SAME = 0.5  # of the gain that a step promised in vain: one that promises more is nearly the same step
+SCALED = 4.0  # factor by which a step may change a scale: far from its place the energy is flat
 NEAR = 0.01  # relative change of a joint's numbers up to which its derivatives are not computed again
 
 
@@ -173,13 +176,17 @@ def _descend(
     moving = [slot for slot, moves in zip(slots, free, strict=True) if moves]
     for _ in range(iterations if moving else 0):
         normal, slope = normal_equations(problem, jacobian[free], y, moving, current)
-        enough, better, tried = CONVERGED + 1e-6 * energy, False, False
+        enough, better, failed = CONVERGED + 1e-6 * energy, False, np.inf
         while not better and damping < MOST_DAMPING:
             trial, promised = _step(current, moving, normal, slope, damping)
-            # the first step is always tried: at a raised noise level even a small gain lowers that level
-            if tried and promised is not None and promised < enough:
-                break
-            tried = True
+            if promised is not None:
+                # a first step is tried for less: at a raised noise level even a small gain lowers that level
+                if promised < (NOTHING * enough if failed == np.inf else enough):
+                    break
+                if promised > NEARLY_SAME * failed:
+                    damping *= 10.0
+                    continue
+                failed = promised
             trial_y = problem.residual(trial) + bent
             trial_energy = problem.energy(trial_y) + _prior(problem, slots, trial)
             better = bool(np.isfinite(trial_energy)) and trial_energy < energy
@@ -203,7 +210,8 @@ def _step(
 ) -> tuple[list[Planned], float | None]:
     """The effects after a damped Gauss-Newton step in scaled numbers, and the energy that the step would gain
     if all were linear. Numbers at a bound that would leave it are kept there. The gain is None where the step
-    was cut short at a bound: a shorter step may then gain more."""
+    was cut short, at a bound or because a scale (a length, a speed) would change by too large a factor: a
+    shorter step may then gain more."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(size, size) + damping * np.eye(len(slots))
     here = np.array([slot.get(current) for slot in slots])
@@ -218,7 +226,9 @@ def _step(
             break
         free &= ~leaves
         step[leaves] = 0.0
-    there = np.clip(here + step, low, high)
+    scale = np.array([slot.param.null is None and slot.param.low > 0.0 for slot in slots])
+    least, most = np.where(scale, here / SCALED, low), np.where(scale, here * SCALED, high)
+    there = np.clip(here + step, np.maximum(least, low), np.minimum(most, high))
     trial = list(current)
     for slot, number in zip(slots, there, strict=True):
         slot.put(trial, float(number))
@@ -245,7 +255,8 @@ def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndar
             step = -step
         moved = list(around)
         own.put(moved, here + step)
-        return problem.moved(around, moved) / step
+        band = problem.derivative_band(around, moved)
+        return problem.whitening.white(band).ravel() / step
 
     return problem.remembered(f"by {place} {slot.param.name} {slot.component}", around, derivative)
 

@@ -114,7 +114,7 @@ class Scanner:
         shares = [
             _Share(tuple(self._parts[k::count]), tuple(currents), count, replaced) for k in range(count)
         ]
-        found = [self.scored(shares[0])] if pool is None else pool.map(self.scored, shares)
+        found = [self.scored(shares[0])] if pool is None else pool.each(self.scored, shares)
         out = []
         for k in range(len(currents)):
             best = [pair for share in found for pair in share[k].items()]

@@ -7,11 +7,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, refit_without
-from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Step
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
@@ -32,7 +34,9 @@ from flexjoint.diagnosis.search.trials import (
     beside_rivals,
     date_onset,
     larger_sets,
+    leaves_less,
     on_all_joints,
+    on_one_level,
     polish,
     sought_again,
 )
@@ -40,6 +44,7 @@ from flexjoint.effects import Planned, catalogue
 
 STAGE = "search"  # in the trace
 PRUNED = "beside the others it no longer explains its price"
+COMMON = "ordinary friction takes most of the error of several joints"
 LEFT_OUT = (
     "the time allowed was over during the search: further causes were not looked for, and not every cause was"
     " compared with its rivals"
@@ -146,17 +151,31 @@ def _grown(
     """The set with causes added one by one, as long as the data support another one; sets that were `seen`
     are not tried again."""
     standing: dict[Key, frozenset[Key]] = {}  # effects that were found supported, and what was beside them
+    rubs = False  # with ordinary friction on several joints
     while len(best.effects) < most_effects(best.problem) and not search.budget.spent:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
+        if bare is not None and leaves_less(bare, best):
+            best = at_own_level(bare)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
         scans.append(both[0])
-        found = larger_sets(best, both, bare, search.pool)
-        found = found or on_all_joints(best, search.scanner.candidates)
+        common = None if best.effects else with_ordinary(best, both[0])
+        if common is not None:
+            rubs = True
+            pruned = prune(common, search.pool)
+            trace += steps_between(best, common, STAGE, "ordinary friction", COMMON)
+            trace += steps_between(common, pruned, STAGE, "price", PRUNED)
+            best = pruned
+            seen.add(_keys(best))
+            continue
+        larger = larger_sets(best, both, bare, search.pool)
+        found = on_one_level(larger, search.pool) or on_all_joints(best, search.scanner.candidates)
         grown = _best_at_own_level(best, found)
         if grown is None:
             break
-        grown = _with_other_joints(grown, found)
+        grown = _with_other_joints(grown, found, larger, search.pool)
+        if rubs and not acts_within_a_joint(grown.effects[-1]):
+            grown = _with_missing(grown, both[0])
         before, best = best, prune(grown, search.pool, standing)
         if _keys(best) in seen:  # it would lead there again
             return before
@@ -171,22 +190,72 @@ def _grown(
     return best
 
 
-def _with_other_joints(grown: Fit, found: Sequence[Fit]) -> Fit:
+def with_ordinary(nothing: Fit, scanned: Sequence[Scored]) -> Fit | None:
+    """The set of ordinary frictions (`Effect.ordinary`) on all joints of which they take most of the error;
+    None where there are not several of these. Every machine has more or less friction than its nominal
+    model: on a real arm it is wrong on all joints at once, and each other cause is seen beside it only."""
+    ordinary = [replace(s, since=None).planned() for s in scanned if s.candidate.effect.ordinary]
+    if not ordinary:
+        return None
+    problem, names = nothing.problem, nothing.problem.robot.joint_names
+    rubbing = at_own_level(fit(problem, ordinary))
+    before, after = (problem.variances(one.y) for one in (nothing, rubbing))
+    share = nothing.settings.search.ordinary_share**2
+    joints = {
+        names[row.joint]
+        for row, b, a in zip(problem.balances.rows, before, after, strict=True)
+        if a < share * b
+    }
+    kept = [e for e in rubbing.effects if e.joint in joints]
+    if len(joints) <= 1:
+        return None
+    return rubbing if len(kept) == len(ordinary) else at_own_level(fit(problem, kept))
+
+
+def _with_missing(grown: Fit, scanned: Sequence[Scored]) -> Fit:
+    """The set with ordinary friction on all joints that have none: beside a load that was found it is seen
+    where it was not before."""
+    taken, have = _keys(grown), {(name, e.joint) for e in grown.effects for name in e.effect.contains}
+    missing = [s for s in scanned if s.candidate.effect.ordinary and s.candidate.key not in taken | have]
+    if not missing:
+        return grown
+    return at_own_level(
+        fit(grown.problem, [*grown.effects, *(replace(s, since=None).planned() for s in missing)])
+    )
+
+
+def _with_other_joints(grown: Fit, found: Sequence[Fit], larger: Sequence[Fit], pool: WorkerPool) -> Fit:
     """The set with the best of the other sets' causes on each other joint as well: one round serves all
     joints, as a cause that acts within its joint does not replace one on another joint. A load acts on many
-    joints, and may replace causes on all of them: only sets that are better than the best one with a load
-    count."""
+    joints, and may replace causes on all of them: of those on one noise level (`found`) only sets that are
+    better than the best one with a load count, of the others (`larger`) only where none has a load."""
     joints, others = {grown.effects[-1].joint}, []
-    for trial in [grown, *sorted(found, key=score)]:
+    loaded = not all(acts_within_a_joint(f.effects[-1]) for f in [grown, *larger])
+    apart = (
+        [] if loaded else [f for own in _by_joint(larger) for f in sorted(on_one_level(own, pool), key=score)]
+    )
+    inflation, implausibility = grown.problem.level.inflation, grown.problem.level.implausibility
+    for trial in [grown, *sorted(found, key=score), *apart]:
         e = trial.effects[-1]
         if not acts_within_a_joint(e):
             break
         if e.joint not in joints:
             joints.add(e.joint)
             others.append(e)
+            # at the level that it leaves there: at a high one the fit would lose what it found
+            inflation = np.minimum(inflation, trial.problem.level.inflation)
     if not others:
         return grown
-    return at_own_level(fit(grown.problem, [*grown.effects, *others]))
+    there = grown.problem.at(NoiseLevel(inflation, implausibility))
+    return at_own_level(fit(there, [*grown.effects, *others]))
+
+
+def _by_joint(sets: Sequence[Fit]) -> list[list[Fit]]:
+    """Sets by the joint of their last effect."""
+    groups: dict[str | None, list[Fit]] = {}
+    for f in sets:
+        groups.setdefault(f.effects[-1].joint, []).append(f)
+    return list(groups.values())
 
 
 def _exchanged(before: Fit, after: Fit) -> tuple[Step, ...]:

@@ -15,6 +15,7 @@ from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, held_beside
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
+    SAME_LEVEL,
     at_own_level,
     degenerate,
     needs_implausible,
@@ -38,12 +39,20 @@ def at_noise(best: Fit) -> Fit | None:
     return fit(problem.at(NoiseLevel.predicted(len(problem.balances.rows))), best.effects)
 
 
+def leaves_less(bare: Fit, best: Fit) -> bool:
+    """Whether a set fitted at the level of the predicted noise leaves clearly less than fitted at its own: at
+    a high noise level a fit ends where little energy can be gained, and may then not come down from it."""
+    before = best.problem.level
+    after = best.problem.plausible_level(bare.y)
+    less = np.log(before.inflation / before.implausibility) - np.log(after.inflation / after.implausibility)
+    return bool(np.sum(less) > SAME_LEVEL)
+
+
 def larger_sets(
     best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, pool: WorkerPool
 ) -> list[Fit]:
-    """Sets of one more effect that are better than `best`, all fitted at the same noise level. `scanned`
-    holds the scan of `best` and, where there is one, that of `bare`, the same set at the level of the
-    predicted noise.
+    """Sets of one more effect that the data support rather than `best`. `scanned` holds the scan of `best`
+    and, where there is one, that of `bare`, the same set at the level of the predicted noise.
 
     The noise level of `best` may be so high that no cause improves the set visibly, not even one that leaves
     a tenth of the variance in the wrong balances, or after which no nominal number is implausible. Such sets
@@ -65,7 +74,7 @@ def larger_sets(
         trials = pool.map(_clearer, [(best, bare, f) for f in trials])
         trials += [f for f in pool.map(_added, [(bare, one) for one in others]) if f is not None]
         found += clearing(best, trials, bare, pool)
-    return on_one_level(found, pool)
+    return found
 
 
 def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
@@ -93,19 +102,24 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
 def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> list[Fit]:
     """Of sets of one more effect than `best`, those that remove most of what is wrong in the balances, each
     at the noise level that it leaves. They are tried in groups, those that leave least first; once a group
-    has such a set, those that leave ten times more are not tried."""
+    has such a set, those that leave ten times more are not tried. What acts within a joint is no rival of
+    what acts within another one: these have groups of their own."""
     limits = best.settings.search
-    waiting = [(_cleared(best, bare.problem.variances(f.y), _marked(f, 1)), f) for f in trials]
-    if best.problem.level.implausibility <= 1.0:
-        waiting = [(share, f) for share, f in waiting if share >= np.log(limits.cleared)]
+    waiting: dict[str | None, list[tuple[float, Fit]]] = {}
+    for f in trials:
+        share, e = _cleared(best, bare.problem.variances(f.y), _marked(f, 1)), f.effects[-1]
+        if best.problem.level.implausibility > 1.0 or share >= np.log(limits.cleared):
+            waiting.setdefault(e.joint if acts_within_a_joint(e) else None, []).append((share, f))
+    out: list[Fit] = []
     while waiting:
-        most = max(share for share, _ in waiting)
-        first = [(best, f) for share, f in waiting if share >= most - np.log(limits.cleared)]
-        found = [f for f in pool.map(_cleared_at_own_level, first) if f is not None]
-        if found:
-            return found
-        waiting = [(share, f) for share, f in waiting if share < most - np.log(limits.cleared)]
-    return []
+        least = {k: max(share for share, _ in group) - np.log(limits.cleared) for k, group in waiting.items()}
+        first = [(k, f) for k, group in waiting.items() for share, f in group if share >= least[k]]
+        found = pool.map(_cleared_at_own_level, [(best, f) for _, f in first])
+        done = {k for (k, _), f in zip(first, found, strict=True) if f is not None}
+        out += [f for f in found if f is not None]
+        rest = {k: [(share, f) for share, f in group if share < least[k]] for k, group in waiting.items()}
+        waiting = {k: group for k, group in rest.items() if group and k not in done}
+    return out
 
 
 def _marked(trial: Fit, last: int) -> np.ndarray:
@@ -194,7 +208,9 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
     ones."""
     best, rival, candidates = task
     scored = Scanner(candidates).scan(rival)
-    trial = added_to(rival, scored[0]) if scored else None
+    if not scored or not _might_clear(best, rival, scored[0]):
+        return None
+    trial = added_to(rival, scored[0])
     if trial is None:
         return None
     # one law may imitate two causes with the help of nominal numbers that are far off
@@ -206,6 +222,25 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
     if apart:
         return refitted if score(refitted) < score(without) else None
     return refitted if supported(refitted, without, refitted.effects[len(rival.effects) - 1]) else None
+
+
+def _might_clear(best: Fit, rival: Fit, scored: Scored) -> bool:
+    """Whether a candidate beside a rival may remove most of what is wrong in `best` once it is fitted, from
+    what it removes to first order; always, where it may free `best` of implausible nominal numbers."""
+    limits = best.settings.search
+    if best.furthest > best.settings.regression.implausible:
+        return True
+    problem, effects = best.problem, [*rival.effects, scored.planned()]
+    shares = [torque_shares(problem, effects, k) for k in range(len(effects) - 2, len(effects))]
+    wrong = problem.level.inflation / problem.level.implausibility > limits.wrong
+    marked = wrong & np.any(np.array(shares) > 0.0, axis=0)
+    left = (problem.rest(best.y) * problem.weights).reshape(marked.size, -1)[marked]
+    needed = (
+        problem.energy(rival.y)
+        - problem.energy(best.y)
+        + (1.0 - 1.0 / limits.cleared) * float(np.sum(left**2))
+    )
+    return scored.removes >= limits.unfitted**2 * needed
 
 
 def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:

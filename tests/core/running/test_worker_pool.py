@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -38,11 +39,31 @@ def inverse(x: float) -> float:
 def test_results_are_in_order_and_the_work_is_shared(count: int) -> None:
     known = Known()
     with worker_pool([known], count) as processes:
-        out = processes.map(known.times, [float(k) for k in range(11)])
-        assert [value for value, _ in out] == [45.0 * k for k in range(11)]
+        for shared_out in (processes.each, processes.map):
+            out = shared_out(known.times, [float(k) for k in range(11)])
+            assert [value for value, _ in out] == [45.0 * k for k in range(11)]
+            assert shared_out(whoami, []) == []
+        out = processes.each(known.times, [float(k) for k in range(11)])
         assert len({process for _, process in out}) == count
+        assert [process for _, process in out[count:]] == [process for _, process in out[:-count]]
         assert out[0][1] == os.getpid()
-        assert processes.map(whoami, []) == []
+
+
+def pause(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def test_whoever_is_free_takes_the_next_item() -> None:
+    with worker_pool([], 2) as processes:
+        done = processes.map(pause, [0.5, *8 * [0.01]])
+    assert sorted(done.count(one) for one in set(done)) == [1, 8]
+
+
+def test_more_items_than_can_wait_are_shared_out_beforehand() -> None:
+    with worker_pool([], 2) as processes:
+        many = [float(k) for k in range(1, 20001)]
+        assert processes.map(inverse, many) == [1.0 / x for x in many]
 
 
 def test_what_is_shared_comes_back_as_itself() -> None:
@@ -63,7 +84,7 @@ def test_an_error_is_raised_where_it_is_asked_for(wrong: int) -> None:
 
 def test_a_killed_process_is_done_without() -> None:
     with worker_pool([], 2) as processes:
-        other = processes.map(whoami, [0, 1])[1]
+        other = processes.each(whoami, [0, 1])[1]
         assert other != os.getpid()
         os.kill(other, signal.SIGKILL)
         assert processes.map(inverse, [2.0, 4.0, 8.0]) == [0.5, 0.25, 0.125]
@@ -72,7 +93,7 @@ def test_a_killed_process_is_done_without() -> None:
 
 def test_nobody_is_left_behind() -> None:
     with worker_pool([], 3) as processes:
-        others = processes.map(whoami, [0, 1, 2])[1:]
+        others = processes.each(whoami, [0, 1, 2])[1:]
     for process in others:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)

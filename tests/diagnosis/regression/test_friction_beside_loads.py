@@ -15,12 +15,16 @@ from planting import ROBOTS, Planted, plant
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording
 
+from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import Slot, _column, fit, slots_of
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search import criteria
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
+from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.scan import Scanner
+from flexjoint.diagnosis.search.selection import with_ordinary
+from flexjoint.diagnosis.search.trials import _might_clear, at_noise, clearing
 from flexjoint.effects import Planned, catalogue, effect
 from flexjoint.robot.robot import load
 
@@ -39,6 +43,10 @@ ASSUMED = [
 @cache
 def problem(damping: float = 0.0) -> Problem:
     """The crane with rigid joints and that nominal damping, 20 s of motion with stops."""
+    return made(PLANTED, damping)
+
+
+def made(planted: list[Planted], damping: float) -> Problem:
     data = yaml.safe_load((ROBOTS / "crane.yaml").read_text())
     for joint in data["joints"].values():
         joint |= {
@@ -52,8 +60,17 @@ def problem(damping: float = 0.0) -> Problem:
         shutil.copyfile(ROBOTS / "crane.urdf", Path(folder) / "crane.urdf")
         path = Path(folder) / "crane_rigid.yaml"
         path.write_text(yaml.safe_dump(data, sort_keys=False))
-        recorded = as_recording(plant(path, PLANTED, "rich", 20.0, 3, MOTOR, rate=250.0))
+        recorded = as_recording(plant(path, planted, "rich", 20.0, 3, MOTOR, rate=250.0))
         return Problem(balances_of(load(path), recorded))
+
+
+@cache
+def stribeck_problem() -> Problem:
+    """The same with Stribeck friction on the shoulder alone."""
+    planted = [
+        Planted("stribeck_friction", "shoulder", {"level": 6.0, "static_extra": 3.0, "velocity": 0.08})
+    ]
+    return made(planted, 0.0)
 
 
 def of_level(effects: list[Planned], joint: str) -> Slot:
@@ -71,7 +88,8 @@ def test_the_derivative_by_a_level_is_that_of_the_whole_residual(joint: str) -> 
     slot.put(moved, slot.get(effects) + step)
 
     by_level = _column(here, effects, slot)
-    whole = (here.residual(moved) - here.residual(effects)) / step
+    # along the recording without noise, as a payload changes what noise enters
+    whole = here.whitening.white(here.denoised_moved_band(effects, moved)).ravel() / step
 
     assert np.linalg.norm(whole) > 100.0
     # without the payload the friction would hold another torque at rest
@@ -124,3 +142,73 @@ def test_of_two_numbers_one_at_its_bound_leaves_the_other_its_best() -> None:
     )
     assert wide.removes >= narrow.removes * (1.0 - 1e-3)
     assert wide.planned().values["static_extra"] >= 0.0
+
+
+@pytest.mark.parametrize("joint", list(FRICTION))
+def test_the_residual_is_smooth_in_a_level(joint: str) -> None:
+    """Friction switches between samples, not with them: a small change of its level moves the residual in
+    proportion, and energy does not jump."""
+    here, effects = problem(), list(ASSUMED)
+    slot = of_level(effects, joint)
+    at = slot.get(effects)
+
+    def along(share: float) -> np.ndarray:
+        moved = list(effects)
+        slot.put(moved, at * (1.0 + share))
+        return here.residual(moved) - here.residual(effects)
+
+    small, tenth = along(1e-4), along(1e-5)
+    assert np.linalg.norm(tenth) > 0.0
+    assert np.linalg.norm(small - 10.0 * tenth) < 0.05 * np.linalg.norm(small)
+
+
+@pytest.mark.parametrize("start", [0.01, 0.5])
+def test_a_scale_is_found_from_far_away(start: float) -> None:
+    """A full step from a far start would take the speed of a Stribeck friction to one of its bounds, where
+    the energy is flat."""
+    here = stribeck_problem()
+    begun = [effect("stribeck_friction", "shoulder", level=6.0, static_extra=1.0, velocity=start)]
+    found = fit(here, begun).effects[0].values
+    assert found["velocity"] == pytest.approx(0.08, rel=0.2)
+    assert found["static_extra"] == pytest.approx(3.0, rel=0.2)
+
+
+def test_what_acts_within_joints_enters_on_all_of_them_at_once() -> None:
+    """Coulomb friction takes most of the error of both joints: it is there before anything else is sought."""
+    here = problem()
+    nothing = at_own_level(fit(here, []))
+    candidates = [c for c in enumerate_candidates(here) if c.effect.ordinary]
+    common = with_ordinary(nothing, Scanner(candidates).scan(nothing))
+    assert common is not None
+    assert {("motor_coulomb_friction", joint) for joint in FRICTION} <= {e.key for e in common.effects}
+
+
+def test_what_one_joint_lacks_is_no_common_friction() -> None:
+    here = problem()
+    nothing = at_own_level(fit(here, []))
+    candidates = [c for c in enumerate_candidates(here) if c.effect.ordinary and c.joint == "shoulder"]
+    assert with_ordinary(nothing, Scanner(candidates).scan(nothing)) is None
+
+
+def test_sets_of_different_joints_are_found_in_one_round() -> None:
+    """A law of one joint is no rival of a law of another one: each is tried, whichever leaves less."""
+    here, payload = problem(), ASSUMED[0]
+    best = at_own_level(fit(here, [payload]))
+    bare = at_noise(best)
+    assert bare is not None
+    trials = [fit(bare.problem, [payload, friction]) for friction in ASSUMED[1:]]
+    with worker_pool([], 1) as pool:
+        found = clearing(best, trials, bare, pool)
+    assert {f.effects[-1].joint for f in found} == set(FRICTION)
+
+
+def test_a_rival_pair_that_cannot_clear_is_not_fitted() -> None:
+    here = problem()
+    best = at_own_level(fit(here, ASSUMED))
+    rival = fit(best.problem, [e for e in ASSUMED if e.joint != "shoulder"])
+    scanned = Scanner(enumerate_candidates(here)).scan(rival)
+    missing = next(s for s in scanned if s.candidate.key == ("motor_coulomb_friction", "shoulder"))
+    worst = scanned[-1]
+    assert best.furthest <= best.settings.regression.implausible
+    assert missing.removes > 10.0 * worst.removes
+    assert not _might_clear(best, rival, worst)
