@@ -255,8 +255,7 @@ def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndar
             step = -step
         moved = list(around)
         own.put(moved, here + step)
-        band = problem.derivative_band(around, moved)
-        return problem.whitening.white(band).ravel() / step
+        return problem.moved(around, moved) / step
 
     return problem.remembered(f"by {place} {slot.param.name} {slot.component}", around, derivative)
 

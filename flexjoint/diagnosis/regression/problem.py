@@ -284,13 +284,6 @@ class Problem(Recorded):
             _add(change, self.balances.denoised.changed(a, b), -1.0)
         return self.whitening.band(change)
 
-    def derivative_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
-        """`moved_band` of a small change, of which products with the sensors' noise do not count: where an
-        effect changes how noise enters, along the denoised recording alone, which takes a third of the
-        time."""
-        shaped = any(whitening.shapes_noise(e, self.balances) for e in (*extra, *other))
-        return (self.denoised_moved_band if shaped else self.moved_band)(extra, other)
-
     def denoised_moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
         """`moved_band` along the denoised recording."""
         before, after = self.with_nominal(extra), self.with_nominal(other)

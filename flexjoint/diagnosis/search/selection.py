@@ -40,7 +40,7 @@ from flexjoint.diagnosis.search.trials import (
     polish,
     sought_again,
 )
-from flexjoint.effects import Planned, catalogue
+from flexjoint.effects import Planned, Site, catalogue
 
 STAGE = "search"  # in the trace
 PRUNED = "beside the others it no longer explains its price"
@@ -159,13 +159,11 @@ def _grown(
             best = at_own_level(bare)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
         scans.append(both[0])
-        common = None if best.effects else with_ordinary(best, both[0])
+        common = None if best.effects else with_ordinary(best, both[0], search.pool)
         if common is not None:
             rubs = True
-            pruned = prune(common, search.pool)
             trace += steps_between(best, common, STAGE, "ordinary friction", COMMON)
-            trace += steps_between(common, pruned, STAGE, "price", PRUNED)
-            best = pruned
+            best = common
             seen.add(_keys(best))
             continue
         larger = larger_sets(best, both, bare, search.pool)
@@ -174,7 +172,7 @@ def _grown(
         if grown is None:
             break
         grown = _with_other_joints(grown, found, larger, search.pool)
-        if rubs and not acts_within_a_joint(grown.effects[-1]):
+        if rubs and grown.effects[-1].effect.site is Site.BODY:
             grown = _with_missing(grown, both[0])
         before, best = best, prune(grown, search.pool, standing)
         if _keys(best) in seen:  # it would lead there again
@@ -190,10 +188,11 @@ def _grown(
     return best
 
 
-def with_ordinary(nothing: Fit, scanned: Sequence[Scored]) -> Fit | None:
-    """The set of ordinary frictions (`Effect.ordinary`) on all joints of which they take most of the error;
-    None where there are not several of these. Every machine has more or less friction than its nominal
-    model: on a real arm it is wrong on all joints at once, and each other cause is seen beside it only."""
+def with_ordinary(nothing: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> Fit | None:
+    """The set of ordinary frictions (`Effect.ordinary`) that the data support on the joints of which they
+    take most of the error; None where there are not several of these. Every machine has more or less friction
+    than its nominal model: on a real arm it is wrong on all joints at once, and each other cause is seen
+    beside it only."""
     ordinary = [replace(s, since=None).planned() for s in scanned if s.candidate.effect.ordinary]
     if not ordinary:
         return None
@@ -209,7 +208,11 @@ def with_ordinary(nothing: Fit, scanned: Sequence[Scored]) -> Fit | None:
     kept = [e for e in rubbing.effects if e.joint in joints]
     if len(joints) <= 1:
         return None
-    return rubbing if len(kept) == len(ordinary) else at_own_level(fit(problem, kept))
+    if len(kept) < len(ordinary):
+        rubbing = at_own_level(fit(problem, kept))
+    left = prune(rubbing, pool)
+    several = len({e.joint for e in left.effects}) > 1
+    return left if several and score(left) < score(fit(left.problem, [])) else None
 
 
 def _with_missing(grown: Fit, scanned: Sequence[Scored]) -> Fit:

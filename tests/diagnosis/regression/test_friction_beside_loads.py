@@ -88,8 +88,7 @@ def test_the_derivative_by_a_level_is_that_of_the_whole_residual(joint: str) -> 
     slot.put(moved, slot.get(effects) + step)
 
     by_level = _column(here, effects, slot)
-    # along the recording without noise, as a payload changes what noise enters
-    whole = here.whitening.white(here.denoised_moved_band(effects, moved)).ravel() / step
+    whole = (here.residual(moved) - here.residual(effects)) / step
 
     assert np.linalg.norm(whole) > 100.0
     # without the payload the friction would hold another torque at rest
@@ -178,7 +177,8 @@ def test_what_acts_within_joints_enters_on_all_of_them_at_once() -> None:
     here = problem()
     nothing = at_own_level(fit(here, []))
     candidates = [c for c in enumerate_candidates(here) if c.effect.ordinary]
-    common = with_ordinary(nothing, Scanner(candidates).scan(nothing))
+    with worker_pool([], 1) as pool:
+        common = with_ordinary(nothing, Scanner(candidates).scan(nothing), pool)
     assert common is not None
     assert {("motor_coulomb_friction", joint) for joint in FRICTION} <= {e.key for e in common.effects}
 
@@ -187,7 +187,8 @@ def test_what_one_joint_lacks_is_no_common_friction() -> None:
     here = problem()
     nothing = at_own_level(fit(here, []))
     candidates = [c for c in enumerate_candidates(here) if c.effect.ordinary and c.joint == "shoulder"]
-    assert with_ordinary(nothing, Scanner(candidates).scan(nothing)) is None
+    with worker_pool([], 1) as pool:
+        assert with_ordinary(nothing, Scanner(candidates).scan(nothing), pool) is None
 
 
 def test_sets_of_different_joints_are_found_in_one_round() -> None:

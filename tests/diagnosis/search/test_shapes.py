@@ -38,9 +38,7 @@ def test_of_a_joint_at_rest_nothing_is_out_of_range() -> None:
 
 
 def test_a_shape_that_ran_away_is_sought_again(creeping: Problem) -> None:
-    away = fit(
-        creeping, [effect("spring_creep", "swing", stiffness=10.0, time_constant=1e4)], iterations=0
-    )
+    away = fit(creeping, [effect("spring_creep", "swing", stiffness=10.0, time_constant=1e4)], iterations=0)
     lost = away.effects[0]
 
     with worker_pool([creeping.shared()], 1) as one:
