@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from itertools import islice
@@ -46,17 +46,28 @@ def local(workers: int, restarts: int) -> Runner:
 def _in_pool(waiting: Iterator[Unit], workers: int, under_way: list[Unit]) -> Iterator[Result]:
     """Results until nothing waits, or a worker dies: `under_way` then holds the units without a result."""
     with _pool(workers) as pool:
-        futures = {pool.submit(perform, unit): unit for unit in islice(waiting, AHEAD * workers)}
+        futures: dict[Future[Result], Unit] = {}
+
+        def hand_out(count: int) -> None:
+            for unit in islice(waiting, count):
+                try:
+                    futures[pool.submit(perform, unit)] = unit
+                except BrokenProcessPool:  # another one died meanwhile
+                    under_way.append(unit)
+                    return
+
+        hand_out(AHEAD * workers)
         while futures:
             done, _ = wait(futures, return_when=FIRST_COMPLETED)
             for future in done:
                 unit = futures.pop(future)
                 try:
                     result = future.result()
-                    futures |= {pool.submit(perform, other): other for other in islice(waiting, 1)}
                 except BrokenProcessPool:
                     under_way.append(unit)
                     continue
+                if not under_way:
+                    hand_out(1)
                 yield result
             if under_way:
                 under_way += futures.values()

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from functools import cache
 from pathlib import Path
 
@@ -121,6 +123,34 @@ def units(folder: Path) -> list[Unit]:
 
 def outcome(results: Iterator[dict[str, object]]) -> dict[object, object]:
     return {result["key"]: bool(result.get("died")) for result in results}
+
+
+def test_a_unit_that_a_broken_pool_refuses_is_not_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker may die between the result of one unit and the handing out of the next one."""
+
+    class Breaking:
+        left = 4  # units that it takes
+
+        def __enter__(self) -> Breaking:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def submit(self, function: Callable[[Unit], dict[str, object]], unit: Unit) -> Future[object]:
+            if Breaking.left == 0:
+                raise BrokenProcessPool
+            Breaking.left -= 1
+            future: Future[object] = Future()
+            future.set_result(function(unit))
+            return future
+
+    monkeypatch.setattr("flexjoint.fleet.workers._pool", lambda _workers: Breaking())
+    monkeypatch.setattr("flexjoint.fleet.workers._alone", lambda unit, _restarts: {"key": unit.key})
+    monkeypatch.setattr("flexjoint.fleet.workers.perform", lambda unit: {"key": unit.key})
+    assert set(outcome(local(2, 1)(units(tmp_path)))) == {"k0", "k1", "k2", "k3", "k4"}
 
 
 def test_a_killed_worker_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
