@@ -33,8 +33,8 @@ from flexjoint.diagnosis.search.trials import (
     at_noise,
     beside_rivals,
     date_onset,
+    ends_lower,
     larger_sets,
-    leaves_less,
     on_all_joints,
     on_one_level,
     polish,
@@ -155,7 +155,7 @@ def _grown(
     while len(best.effects) < most_effects(best.problem) and not search.budget.spent:
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
-        if bare is not None and leaves_less(bare, best):
+        if bare is not None and ends_lower(bare, best):
             best = at_own_level(bare)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
         scans.append(both[0])

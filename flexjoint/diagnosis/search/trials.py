@@ -39,7 +39,7 @@ def at_noise(best: Fit) -> Fit | None:
     return fit(problem.at(NoiseLevel.predicted(len(problem.balances.rows))), best.effects)
 
 
-def leaves_less(bare: Fit, best: Fit) -> bool:
+def ends_lower(bare: Fit, best: Fit) -> bool:
     """Whether a set fitted at the level of the predicted noise leaves clearly less than fitted at its own: at
     a high noise level a fit ends where little energy can be gained, and may then not come down from it."""
     before = best.problem.level
