@@ -118,6 +118,38 @@ class Balances:
                     out[r] = self._row(row, after, load) - self._row(row, before, load)
         return dict(sorted(out.items()))
 
+    def changed_by_loads(self, base: Sequence[Planned], effects: Sequence[Planned]) -> dict[int, np.ndarray]:
+        """`changed` where only loads of bodies differ, to first order: what sticks still does. For
+        derivatives, as the place where each joint begins to slip is not computed again for each number of a
+        load."""
+        if any(self.chains.ties.on_shaft(e) and e.effect.overrides("level") for e in base):
+            return self.changed(base, effects)
+        chains = self._all(base)
+        load = self._rigid_change(effects, chains) - self._rigid_change(base, chains)
+        out: dict[int, np.ndarray] = {}
+        for r, row in enumerate(self.rows):
+            change = load[row.joint] * (chains[row.joint].scale if row.balance == MOTOR else 1.0)
+            if self._carries_load(row):
+                out[r] = -change
+            sticking = self.holding(row, chains[row.joint])
+            if sticking is not None:
+                carried = self.chains.filtered(sticking * self.time_series(change))
+                out[r] = out[r] + carried if r in out else carried
+        return out
+
+    def holding(self, row: Row, chain: Chain) -> np.ndarray | None:
+        """(N,) bool, where a dry friction in a balance carries the load of the link, as it sticks; None where
+        none does. A motor's friction carries what its spring does, and the load itself only where the spring
+        does not say that. `chain` is the joint's."""
+        i, rigid = row.joint, self.motion.robot.joints[row.joint].rigid
+        where = []
+        if row.balance == MOTOR and (rigid or self.chains.floats(i)):
+            where.append(chain.sticking_motor)
+        if row.balance == LINK or (row.balance == MOTOR and rigid):
+            where.append(chain.sticking_link)
+        found = [one for one in where if np.any(one)]
+        return np.logical_or.reduce(found) if found else None
+
     def time_series(self, spectrum: np.ndarray) -> np.ndarray:
         """(..., F) -> (..., N)."""
         return fft.irfft(spectrum, self.filter.size, axis=-1)[..., : self.filter.count]

@@ -20,7 +20,7 @@ from flexjoint.diagnosis.regression.deviations import (
 from flexjoint.diagnosis.regression.nuisance import entangles
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.settings import RegressionSettings, Settings
-from flexjoint.effects import Parameter, Planned
+from flexjoint.effects import Parameter, Planned, Site
 
 MOST_DAMPING = 1e8  # of a scaled step: with more damping no step lowers the energy
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
@@ -248,6 +248,7 @@ def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndar
     around = _around(problem, effects, effects[slot.effect])
     place = next(k for k, e in enumerate(around) if e is effects[slot.effect])
     own = replace(slot, effect=place)
+    change = problem.moved_by_load if effects[slot.effect].effect.site is Site.BODY else problem.moved
 
     def derivative() -> np.ndarray:
         here, step = own.get(around), step_of(problem, own, around)
@@ -255,7 +256,7 @@ def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndar
             step = -step
         moved = list(around)
         own.put(moved, here + step)
-        return problem.moved(around, moved) / step
+        return change(around, moved) / step
 
     return problem.remembered(f"by {place} {slot.param.name} {slot.component}", around, derivative)
 

@@ -307,14 +307,12 @@ class Columns:
         not change the residual."""
         names, chains = self.robot.joint_names, self.balances.chains
         sticking: dict[tuple[str, int], np.ndarray] = {}  # by balance and joint
-        for joint, own in entangled.items():
-            i = names.index(joint)
-            if chains.rests_on_load(i, own):
-                chain = chains.get(i, own)
-                for balance, where in ((LINK, chain.sticking_link), (MOTOR, chain.sticking_motor)):
-                    row = (MOTOR if self.robot.joints[i].rigid else balance, i)
-                    if np.any(where):
-                        sticking[row] = where | sticking.get(row, False)
+        for row in self.balances.rows:
+            own = entangled.get(names[row.joint], ())
+            if chains.rests_on_load(row.joint, own):
+                where = self.balances.holding(row, chains.get(row.joint, own))
+                if where is not None:
+                    sticking[row.balance, row.joint] = where
         out: dict[int, np.ndarray] = {}
         for k, direction in self._directions.items() if sticking else ():
             torque = self.balances.inertial_torque(names.index(str(self.nuisance[k].joint)), direction)

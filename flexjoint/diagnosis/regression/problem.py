@@ -274,6 +274,16 @@ class Problem(Recorded):
         """(samples,) residual(other) - residual(extra); only joints that differ are evaluated."""
         return self.whitening.white(self.moved_band(extra, other)).ravel()
 
+    def moved_by_load(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
+        """`moved` where only a body's load differs, to first order (`Balances.changed_by_loads`)."""
+        a, b = self._on_measured(extra), self._on_measured(other)
+        if [e.identity for e in a] != [e.identity for e in b]:
+            change = self.balances.changed_by_loads(a, b)
+        else:  # a load that changes the noise
+            every = self.with_nominal(extra), self.with_nominal(other)
+            change = self.balances.denoised.changed_by_loads(*every)
+        return self.whitening.white(self.whitening.band(change)).ravel()
+
     def moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
         """The same before it is whitened."""
         a, b = self._on_measured(extra), self._on_measured(other)

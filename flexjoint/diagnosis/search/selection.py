@@ -396,11 +396,13 @@ def united(result: Fit) -> Fit:
 def prune(result: Fit, pool: WorkerPool, standing: Mapping[Key, frozenset[Key]] | None = None) -> Fit:
     """Drop, one by one, the effects that the data do not support beside the others. A special case of an
     effect's law takes its place where the data support that. Effects that were supported beside the same
-    neighbours (`standing`) are not asked again."""
-    result, known = united(result), standing or {}
+    neighbours (`standing`, or a round before) are not asked again."""
+    result, known = united(result), dict(standing or {})
     while len(result.effects) > 1:
         asked = [e for e in result.effects if known.get(e.key) != _neighbours(result, e)]
-        smaller = [f for f in pool.map(_without_unsupported, [(result, e) for e in asked]) if f is not None]
+        without = pool.map(_without_unsupported, [(result, e) for e in asked])
+        known |= {e.key: _neighbours(result, e) for e, f in zip(asked, without, strict=True) if f is None}
+        smaller = [f for f in without if f is not None]
         if not smaller:
             return result
         result = min(smaller, key=score)

@@ -9,6 +9,7 @@ from support.robots.ur5_logs import ELBOW, LIFT, NAMES, PAN, log, ur5
 from flexjoint.diagnosis.data.change import Change, Source, View
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.data.columns import repaired
+from flexjoint.diagnosis.data.motion.encoders import differences
 from flexjoint.diagnosis.data.torques.follows import Balance
 from flexjoint.diagnosis.data.torques.rivals import explained_otherwise, reach
 from flexjoint.diagnosis.data.torques.sampled import sampled
@@ -16,6 +17,7 @@ from flexjoint.diagnosis.data.travel import slope
 from flexjoint.diagnosis.result import Column, DataFinding
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.recording.table import Recording, make
+from flexjoint.robot.robot import load as load_robot
 
 LIMITS = USUAL.data
 
@@ -134,3 +136,25 @@ def test_stamps_that_tell_when_rows_were_sampled_or_that_hiccup_once_are_left_al
         delayed(recording, lost),
     ):
         assert check_data(ur5(), late).findings == ()
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0], ids=["right torque", "turned torque"])
+def test_a_spring_that_sags_has_no_wrong_zero(turned: float) -> None:
+    """One so soft that its load bends it by 0.7 rad in the mean, and moves it by little."""
+    robot = load_robot("rrbot")
+    joint = robot.joints[-1]
+    time = np.arange(0.0, 4.0, 0.01)
+    q = 0.2 * np.sin(3.0 * time)
+    bent = 0.7 + 0.01 * np.sin(2.0 * time)
+
+    def recorded(shift: float) -> Recording:
+        columns = {
+            ("q", joint.name): q,
+            ("theta", joint.name): q + bent + shift,
+            ("tau_t", joint.name): turned * joint.drive.K * bent,
+        }
+        return make(time, columns)
+
+    assert not list(differences(robot, recorded(0.0), LIMITS))
+    (found,) = differences(robot, recorded(1.5), LIMITS)
+    assert found.error == "zero"

@@ -17,9 +17,9 @@ from support.diagnose_cases import as_recording
 
 from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.regression.fit import Slot, _column, fit, slots_of
+from flexjoint.diagnosis.regression.fit import Fit, Slot, _column, fit, slots_of
 from flexjoint.diagnosis.regression.problem import Problem
-from flexjoint.diagnosis.search import criteria
+from flexjoint.diagnosis.search import criteria, selection
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.scan import Scanner
@@ -28,6 +28,7 @@ from flexjoint.diagnosis.search.trials import _might_clear, at_noise, clearing
 from flexjoint.effects import Planned, catalogue, effect
 from flexjoint.robot.robot import load
 
+DRAG = "quadratic_drag"
 MOTOR = SensorSet(channels=("theta", "tau_motor"))
 FRICTION = {"shoulder": 9.0, "elbow": 5.0}  # N m: more than the payload's weight, which it holds at rest
 PLANTED = [
@@ -93,6 +94,48 @@ def test_the_derivative_by_a_level_is_that_of_the_whole_residual(joint: str) -> 
     assert np.linalg.norm(whole) > 100.0
     # without the payload the friction would hold another torque at rest
     assert np.linalg.norm(by_level - whole) < 1e-6 * np.linalg.norm(whole)
+
+
+@pytest.mark.parametrize("name, component", [("mass", 0), ("position", 1), ("position", 2)])
+def test_the_derivative_by_a_load_is_that_of_the_whole_residual(name: str, component: int) -> None:
+    """What sticks still does, and carries the load: only where a joint begins to slip is more left out."""
+    here, effects = problem(), list(ASSUMED)
+    slot = next(s for s in slots_of(effects) if (s.param.name, s.component) == (name, component))
+    moved = list(effects)
+    slot.put(moved, slot.get(effects) + 1e-4)
+
+    by_load = _column(here, effects, slot)
+    whole = (here.residual(moved) - here.residual(effects)) / 1e-4
+    free = (here.residual(moved[:1]) - here.residual(effects[:1])) / 1e-4  # nothing sticks
+
+    assert np.linalg.norm(whole) > 100.0
+    assert np.linalg.norm(by_load - whole) < 0.1 * np.linalg.norm(whole)
+    assert np.linalg.norm(free - whole) > 0.2 * np.linalg.norm(whole)
+
+
+def test_supported_effects_are_not_asked_again_when_one_of_another_joint_is_dropped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    here = problem()
+    needless = [effect(DRAG, joint, coefficient=1e-6) for joint in FRICTION]
+    best = fit(here, [*ASSUMED[1:], *needless])
+    asked: list[tuple[str, str | None]] = []
+
+    def answer(task: tuple[Fit, Planned]) -> Fit | None:
+        result, dropped = task
+        asked.append(dropped.key)
+        if dropped.effect.name != DRAG:
+            return None
+        return fit(here, [e for e in result.effects if e is not dropped])
+
+    monkeypatch.setattr(selection, "_without_unsupported", answer)
+    with worker_pool([], 1) as pool:
+        left = selection.prune(best, pool)
+    assert {e.key for e in left.effects} == {e.key for e in ASSUMED[1:]}
+    # each friction is asked before the drag on its joint is gone, and once more after
+    assert {key: asked.count(key) for key in (e.key for e in ASSUMED[1:])} == dict.fromkeys(
+        (e.key for e in ASSUMED[1:]), 2
+    )
 
 
 @pytest.mark.parametrize("joint", list(FRICTION))

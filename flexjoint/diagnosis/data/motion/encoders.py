@@ -15,6 +15,7 @@ from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Joint, Robot
 
 UNITS = {"degrees": 180.0 / math.pi, "turns": 0.5 / math.pi, "mrad": 1000.0}
+TORQUES = ("tau_t", "tau_motor", "tau_m")  # that tell what a joint carries, the best one first
 UNIT = 1.03  # factor within which a slope is that of a unit: a spring makes it inexact
 
 
@@ -79,11 +80,20 @@ def _zero(joint: Joint, recording: Recording, settings: DataSettings) -> DataFin
     name = joint.name
     apart = recording.get("theta", name) - recording.get("q", name)
     offset = float(np.nanmedian(apart))
-    spring = 0.0 if joint.rigid else float(np.nanmedian(np.abs(apart - offset)))
-    if abs(offset) < settings.least_zero + 3.0 * spring:
+    bent = 0.0
+    if not joint.rigid:
+        bent = 3.0 * float(np.nanmedian(np.abs(apart - offset))) + _sag(joint, recording)
+    if abs(offset) < settings.least_zero + bent:
         return None
     text = (
         f"theta.{name} lies {offset:.4g} rad ({math.degrees(offset):.4g} degrees) beside q.{name}: the zero"
         f" of the motor encoder of {name} is off"
     )
     return DataFinding("zero", name, text, of_side(recording, name, "theta", 1.0, -offset))
+
+
+def _sag(joint: Joint, recording: Recording) -> float:
+    """rad by which a torque that a joint carries all the time bends its spring."""
+    torques = (recording.get(c, joint.name) for c in TORQUES if recording.has(c, joint.name))
+    carried = next((float(abs(np.nanmedian(torque))) for torque in torques), 0.0)
+    return carried / float(joint.drive.K)
