@@ -158,3 +158,19 @@ def test_a_spring_that_sags_has_no_wrong_zero(turned: float) -> None:
     assert not list(differences(robot, recorded(0.0), LIMITS))
     (found,) = differences(robot, recorded(1.5), LIMITS)
     assert found.error == "zero"
+
+
+@pytest.mark.parametrize("softness", [1.0, 0.01], ids=["soft", "stiff"])
+def test_a_link_that_swings_on_a_soft_spring_is_in_no_other_unit(softness: float) -> None:
+    """Its motor moves 0.4 times as far, and its spring's torque says so; that of a stiff one does not."""
+    robot = load_robot("rrbot")
+    joint = robot.joints[-1]
+    time = np.arange(0.0, 4.0, 0.01)
+    q = 0.5 * np.sin(3.0 * time)
+    columns = {
+        ("q", joint.name): q,
+        ("theta", joint.name): 0.4 * q,
+        ("tau_t", joint.name): softness * joint.drive.K * -0.6 * q,
+    }
+    found = [f.error for f in differences(robot, make(time, columns), LIMITS)]
+    assert found == ([] if softness == 1.0 else ["unit"])

@@ -16,6 +16,7 @@ from flexjoint.robot.robot import Joint, Robot
 
 UNITS = {"degrees": 180.0 / math.pi, "turns": 0.5 / math.pi, "mrad": 1000.0}
 TORQUES = ("tau_t", "tau_motor", "tau_m")  # that tell what a joint carries, the best one first
+RARE = (0.5, 99.5)  # percentiles beyond which samples are left out
 UNIT = 1.03  # factor within which a slope is that of a unit: a spring makes it inexact
 
 
@@ -54,7 +55,8 @@ def _scale(joint: Joint, recording: Recording, settings: DataSettings) -> DataFi
     size = abs(found.slope)
     travel = extent(recording, name, "theta"), extent(recording, name, "q")
     apart = abs(travel[0] - travel[1])
-    if 1.0 / settings.slope_one < size < settings.slope_one or apart < settings.deflected:
+    bent = float(np.ptp(np.nanpercentile(_bent(joint, recording), RARE)))
+    if 1.0 / settings.slope_one < size < settings.slope_one or apart < settings.deflected + bent:
         return None
     sign = math.copysign(1.0, found.slope)
     turned = " and the other way" if sign < 0.0 else ""
@@ -80,10 +82,9 @@ def _zero(joint: Joint, recording: Recording, settings: DataSettings) -> DataFin
     name = joint.name
     apart = recording.get("theta", name) - recording.get("q", name)
     offset = float(np.nanmedian(apart))
-    bent = 0.0
-    if not joint.rigid:
-        bent = 3.0 * float(np.nanmedian(np.abs(apart - offset))) + _sag(joint, recording)
-    if abs(offset) < settings.least_zero + bent:
+    spring = 0.0 if joint.rigid else 3.0 * float(np.nanmedian(np.abs(apart - offset)))
+    sag = abs(float(np.nanmedian(_bent(joint, recording))))
+    if abs(offset) < settings.least_zero + spring + sag:
         return None
     text = (
         f"theta.{name} lies {offset:.4g} rad ({math.degrees(offset):.4g} degrees) beside q.{name}: the zero"
@@ -92,8 +93,8 @@ def _zero(joint: Joint, recording: Recording, settings: DataSettings) -> DataFin
     return DataFinding("zero", name, text, of_side(recording, name, "theta", 1.0, -offset))
 
 
-def _sag(joint: Joint, recording: Recording) -> float:
-    """rad by which a torque that a joint carries all the time bends its spring."""
+def _bent(joint: Joint, recording: Recording) -> np.ndarray:
+    """(N,) rad by which the recorded torque bends a joint's spring; 0 of a rigid one, and without torque."""
     torques = (recording.get(c, joint.name) for c in TORQUES if recording.has(c, joint.name))
-    carried = next((float(abs(np.nanmedian(torque))) for torque in torques), 0.0)
-    return carried / float(joint.drive.K)
+    known = (torque for torque in torques if np.any(np.isfinite(torque)))
+    return next(known, np.zeros_like(recording.time)) / float(joint.drive.K)
