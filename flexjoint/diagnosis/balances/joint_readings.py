@@ -120,7 +120,7 @@ class JointReadings:
         size = {name: float(readings.noise[name][self._joint]) for name in ("q", "theta")}
         size["phi"] = float(np.hypot(size["q"], size["theta"]))
         signals = {"q": self.q, "theta": self.theta, "phi": self.theta - self.q}
-        noise = {name: x - wiener(x, size[name], readings.period) for name, x in signals.items()}
+        noise = {name: x - wiener(x, size[name]) for name, x in signals.items()}
         rates = {f"d{name}": smooth(x, 1) for name, x in noise.items()}
         return Signals(**noise, **rates)
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 from scipy.interpolate import Akima1DInterpolator, CubicSpline
-from scipy.ndimage import map_coordinates
-from scipy.signal import welch
+from scipy.ndimage import convolve1d, map_coordinates
+from scipy.signal import ShortTimeFFT, get_window
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.diagnosis.settings import USUAL, Settings, SignalSettings
@@ -25,7 +25,10 @@ from flexjoint.robot.robot import Robot
 
 FILTER_SAMPLES = 2.0  # ... this many samples, below which its sampled kernel aliases
 PADDED_SIGMAS = 4.5  # of the filter, within which it mixes in what lies beyond an end
-WELCH_SEGMENT = 1024  # samples, of the spectrum by which noise is separated from motion
+WIENER_SEGMENT = 384  # samples, of the spectra by which noise is separated from motion,
+WIENER_HOPS = 4  # ... as many of which overlap,
+WIENER_BINS = 9  # ... as many frequencies of which tell a power,
+WIENER_SIGNAL = 3.0  # ... and times the noise's, from which it is no noise by chance
 SLOWER = 1.5  # times the table's period between a channel's samples, from which it has a rate of its own
 
 
@@ -235,32 +238,29 @@ def denoised(readings: Readings) -> Readings:
         signals = getattr(readings, name).copy()
         for i, x in enumerate(signals):
             if np.isfinite(x[0]):
-                signals[i] = wiener(x, readings.noise[name][i], readings.period)
+                signals[i] = wiener(x, readings.noise[name][i])
         clean[name] = signals
     return replace(readings, **clean)
 
 
-def kept_share(x: np.ndarray, noise: float, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """(frequencies [Hz], share of each that is not the predicted white noise)."""
-    segment = min(x.size, WELCH_SEGMENT)
-    frequency, power = welch(x, 1.0 / period, nperseg=segment, detrend="linear")
-    floor = 2.0 * noise**2 * period  # one-sided density of white noise
-    # power within a factor of two of the noise could be noise by chance
-    share = np.where(power > 2.0 * floor, 1.0 - floor / np.maximum(power, 1e-300), 0.0)
-    share[frequency < 2.0 / (segment * period)] = 1.0
-    return frequency, share
-
-
-def wiener(x: np.ndarray, noise: float, period: float) -> np.ndarray:
-    """(N,) a signal with each frequency kept to the share of its power that is not the predicted noise."""
-    frequency, share = kept_share(x, noise, period)
+def wiener(x: np.ndarray, noise: float) -> np.ndarray:
+    """(N,) a signal with each frequency kept, at each time, to the share of its power that is not the
+    predicted white noise: a motion that is fast for a while only has little power in the mean."""
+    segment = 2 * (min(x.size, WIENER_SEGMENT) // 2)
+    window = get_window("blackmanharris", segment)  # little of a slow motion leaks to where there is noise
     # both ends are continued by odd reflection, so that value and slope go on smoothly
-    reach = min(x.size - 1, 2 * WELCH_SEGMENT)
+    reach = segment - 1
     ahead, behind = 2.0 * x[0] - x[reach:0:-1], 2.0 * x[-1] - x[-2 : -reach - 2 : -1]
     longer = np.concatenate([ahead, x, behind])
-    window = make_filter(longer.size, period, FILTER_SAMPLES * period)
-    gain = np.interp(window.omega, 2.0 * np.pi * frequency, share)
-    return fft.irfft(window.spectrum(longer) * gain, window.size)[reach : reach + x.size]
+    line = np.linspace(longer[0], longer[-1], longer.size)
+    transform = ShortTimeFFT(window, max(1, segment // WIENER_HOPS), 1.0)
+    spectra = transform.stft(longer - line)
+    power = convolve1d(np.abs(spectra) ** 2, np.full(WIENER_BINS, 1.0 / WIENER_BINS), axis=0, mode="nearest")
+    floor = noise**2 * np.sum(window**2)
+    share = np.where(power > WIENER_SIGNAL * floor, 1.0 - floor / np.maximum(power, 1e-300), 0.0)
+    share[:2] = 1.0
+    kept = transform.istft(spectra * share, k1=longer.size)
+    return np.asarray((kept + line)[reach : reach + x.size])
 
 
 @dataclass(frozen=True)
