@@ -17,6 +17,7 @@ from flexjoint.core.running.worker_pool import one_thread, workers_of
 from flexjoint.diagnosis.balances.balances import TwinBalances, balances_of
 from flexjoint.diagnosis.balances.usable import refusal
 from flexjoint.diagnosis.data import check
+from flexjoint.diagnosis.regression.deviations import about_likely_links
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
 from flexjoint.diagnosis.result import DataFinding, Diagnosis, Finding, Remaining, Step, Unexplained
@@ -100,7 +101,7 @@ def diagnose(
         return Diagnosis(
             "refused", refused, notes=cut, robot=robots[0].name, prismatic=robots[0].prismatic, data=data
         )
-    problem = Problem(balances)
+    problem = about_likely_links(Problem(balances))
     candidates = enumerate_candidates(problem, excluded)
     first = _searched(problem, candidates, task.part(0, len(recordings)))
     case, spread, common = _combined(first, robots, recordings, task)
@@ -188,7 +189,7 @@ def _combined(
         refused, balances = _balanced(robots[k], recording, task.settings)
         if refused:
             raise RecordingError(f"{recording.name} cannot be diagnosed together with the others: {refused}")
-        problem = Problem(balances)
+        problem = about_likely_links(Problem(balances))
         candidates = enumerate_candidates(problem, task.excluded)
         selections.append(_searched(problem, candidates, task.part(k, len(recordings))).selection)
     together = combine(selections)

@@ -22,6 +22,7 @@ from scipy import fft
 
 from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.chain import Chain, Chains
+from flexjoint.diagnosis.balances.missing_links import MissingLinks
 from flexjoint.diagnosis.balances.motion import Motion, reconstruct
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.rounding import Colour, colours_of
@@ -52,6 +53,12 @@ class Balances:
         self._rigid = self.filter.spectrum(motion.rigid.tau)  # evaluated on filtered motion already
         self._rates = [self.chains.jomega**order for order in range(3)]
         self._loads: LruCache[np.ndarray] = LruCache()
+        rigid = [joint.rigid for joint in motion.robot.joints]
+        loaded = {
+            r.joint: k for k, r in enumerate(self.rows) if r.balance == (MOTOR if rigid[r.joint] else LINK)
+        }
+        springs = {r.joint: k for k, r in enumerate(self.rows) if r.balance == SPRING}
+        self.missing_links = MissingLinks(motion, loaded, springs)
         self.colours: dict[int, Colour] = {}  # of noise, which only a twin without it tells
 
     @property

@@ -3,9 +3,9 @@ along it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import fft
@@ -13,37 +13,89 @@ from scipy.linalg import lapack
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.diagnosis.signals.signals import Filter, Readings, make_filter
+from flexjoint.effects import Drive, Planned
 from flexjoint.recording.table import Recording
-from flexjoint.rigidbody.numeric import PinBody
+from flexjoint.rigidbody.numeric import PinBody, inertial_of
 from flexjoint.robot.robot import Robot
 
 DRIVEN_SUBSTEPS = 2  # per sample, where a link's motion is simulated from its motor's
 REGRESSOR_CHUNK = 1000  # samples evaluated at a time
+ROWS = 40  # filtered at a time, for memory
+
+
+WholeMotion = tuple[np.ndarray, np.ndarray, np.ndarray]  # q (N, nq), v and a (N, nv) of a whole model
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """A motion before the filter, along which functions of q, q' and q'' are filtered.
+
+    f(F q) differs from F f(q) by a term in the window's variance. With shares 1/4 and 1/2 of the variance
+    before f and the rest after it, that term cancels in 2 f(1/4) - f(1/2) (Richardson); noise, to which
+    rigid-body torques are nearly linear, passes both alike."""
+
+    robot: Robot
+    window: Filter
+    q: np.ndarray  # (n, N)
+    passive: dict[str, np.ndarray]
+
+    def motion(self, share: float) -> WholeMotion:
+        return whole_motion(self.robot, self.window, self.q, self.passive, share)
+
+    def of(self, f: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """(..., N) F f of a function of q, v and a that returns (..., N); in the function's precision."""
+        out = 2.0 * self._share(f, 0.25)
+        out -= self._share(f, 0.5)
+        return out
+
+    def _share(
+        self, f: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], share: float
+    ) -> np.ndarray:
+        values = f(*self.motion(share))
+        flat = values.reshape(-1, values.shape[-1])
+        for first in range(0, len(flat), ROWS):
+            part = slice(first, first + ROWS)
+            flat[part] = self.window.smooth_share(flat[part], 1.0 - share)
+        return values
 
 
 class Regressor:
-    """Torques per unit of each actuated body's ten inertial parameters along a motion, evaluated when they
-    are first asked for. A body loads the joints that carry it: only those are kept."""
+    """Filtered torques per unit of each actuated body's ten inertial parameters along a motion, evaluated
+    when they are first asked for. A body loads the joints that carry it: only those are kept."""
 
-    def __init__(self, robot: Robot, at: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
-        self._robot, self._motion = robot, (at, v, a)
+    def __init__(self, filtered: Filtered) -> None:
+        self._filtered, self._robot = filtered, filtered.robot
 
     @cached_property
     def _bodies(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Per actuated body: the joints (k,) that it loads, and their torques (10, k, N)."""
-        joints, count = self._robot.joints, len(self._motion[0])
+        joints = self._robot.joints
         loaded = []
         for joint in joints:
             carried_by = set(self._robot.model.supports[joint.pin_id])
             loaded.append(np.array([k for k, other in enumerate(joints) if other.pin_id in carried_by]))
-        out = [(rows, np.empty((10, rows.size, count), np.float32)) for rows in loaded]
-        body, rows_v = PinBody(self._robot.model), np.array([joint.idx_v for joint in joints])
-        columns = [10 * (joint.pin_id - 1) + np.arange(10) for joint in joints]
-        for first in range(0, count, REGRESSOR_CHUNK):
+        every = self._filtered.of(partial(self._evaluated, loaded))
+        counts = np.cumsum([rows.size for rows in loaded])[:-1]
+        return list(zip(loaded, np.split(every, counts, axis=1), strict=True))
+
+    def _evaluated(
+        self, loaded: Sequence[np.ndarray], q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> np.ndarray:
+        """(10, sum of k, N) torques of all bodies, one after another."""
+        joints, body = self._robot.joints, PinBody(self._robot.model)
+        out = np.empty((10, sum(rows.size for rows in loaded), len(q)), np.float32)
+        rows_v = np.array([joint.idx_v for joint in joints])
+        rows = np.concatenate([rows_v[own] for own in loaded])
+        columns = np.concatenate(
+            [
+                np.tile(10 * (joint.pin_id - 1) + np.arange(10), (own.size, 1))
+                for joint, own in zip(joints, loaded, strict=True)
+            ]
+        )
+        for first in range(0, len(q), REGRESSOR_CHUNK):
             part = slice(first, first + REGRESSOR_CHUNK)
-            whole = body.regressor_batch(*(x[part] for x in self._motion))
-            for (rows, kept), column in zip(out, columns, strict=True):
-                kept[:, :, part] = whole[:, rows_v[rows][:, None], column].transpose(2, 1, 0)
+            whole = body.regressor_batch(q[part], v[part], a[part])
+            out[:, :, part] = whole[:, rows[:, None], columns].transpose(2, 1, 0)
         return out
 
     def forget(self, limit: float) -> None:
@@ -68,8 +120,7 @@ class Rigid:
     regressor: Regressor
     inertial: np.ndarray  # (n, 10) nominal parameters of those bodies, known payloads left out
     gravity: np.ndarray  # (3,)
-    robot: Robot
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray]  # q (N, nq), v and a (N, nv), filtered
+    filtered: Filtered
 
     @property
     def by_q(self) -> np.ndarray:
@@ -94,16 +145,21 @@ class Rigid:
     @cached_property
     def by_gravity(self) -> np.ndarray:
         """(3, n, N) torque per unit of gravity along each base axis."""
-        model, (at, v, _) = self.robot.model, self.motion
-        rows, still = [joint.idx_v for joint in self.robot.joints], np.zeros_like(v)
-        return np.stack(
-            [PinBody(model, gravity=axis).rnea_batch(at, still, still)[:, rows].T for axis in np.eye(3)]
-        )
+        robot = self.filtered.robot
+        rows = [joint.idx_v for joint in robot.joints]
+        bodies = [PinBody(robot.model, gravity=axis) for axis in np.eye(3)]
+
+        def torques(q: np.ndarray, v: np.ndarray, _a: np.ndarray) -> np.ndarray:
+            still = np.zeros_like(v)
+            return np.stack([body.rnea_batch(q, still, still)[:, rows].T for body in bodies])
+
+        return self.filtered.of(torques)
 
     @cached_property
     def _derivatives(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        rows = np.array([joint.idx_v for joint in self.robot.joints])
-        by_q, by_v, mass = PinBody(self.robot.model).rnea_derivatives_batch(*self.motion)
+        robot = self.filtered.robot
+        rows = np.array([joint.idx_v for joint in robot.joints])
+        by_q, by_v, mass = PinBody(robot.model).rnea_derivatives_batch(*self.filtered.motion(1.0))
         pick = np.ix_(np.arange(len(mass)), rows, rows)
         return by_q[pick].astype(np.float32), by_v[pick].astype(np.float32), mass[pick]
 
@@ -122,9 +178,11 @@ class Motion:
     passive: dict[str, np.ndarray]  # angles (N,) of joints without actuator
 
 
-def reconstruct(robot: Robot, readings: Readings, recording: Recording) -> Motion:
-    """The motion; an angle without a sensor comes from the nominal model, as the point about which the
-    balances are linear. It carries no information of its own (whitening.py).
+def reconstruct(
+    robot: Robot, readings: Readings, recording: Recording, deviations: Sequence[Planned] = ()
+) -> Motion:
+    """The motion; an angle without a sensor comes from the nominal model, or with deviations of its numbers,
+    as the point about which the balances are linear. It carries no information of its own (whitening.py).
 
     Raises RecordingError for a floating base, a passive joint that was not measured, or a joint without
     any position.
@@ -137,7 +195,8 @@ def reconstruct(robot: Robot, readings: Readings, recording: Recording) -> Motio
     q, theta, missing = _angles(robot, readings, recording)
     passive = _passive(robot, readings, recording)
     if missing:
-        _complete(robot, readings, window, q, theta, missing, passive)
+        links = _Links.of(robot, deviations)
+        _complete(robot, links, readings, window, q, theta, missing, passive)
     rigid = along(robot, window, q, passive)
     return Motion(robot, readings, window, q, theta, tuple(missing), rigid, passive)
 
@@ -183,8 +242,30 @@ def _passive(robot: Robot, readings: Readings, recording: Recording) -> dict[str
     return out
 
 
+@dataclass(frozen=True)
+class _Links:
+    """The numbers with which angles are made: actuators by joint, and inertial parameters (bodies, 10)."""
+
+    drives: tuple[Drive, ...]
+    inertial: np.ndarray
+
+    @staticmethod
+    def of(robot: Robot, deviations: Sequence[Planned]) -> _Links:
+        drives, inertial = [joint.drive for joint in robot.joints], inertial_of(robot.model)
+        for e in deviations:
+            if e.joint is None:
+                continue
+            i = robot.joint_names.index(e.joint)
+            drives[i] = e.effect.edit_drive(drives[i], e.p)
+            if e.effect.overrides("edit_inertial"):
+                body = robot.joints[i].pin_id - 1
+                inertial[body] = e.effect.edit_inertial(list(inertial[body]), e.p)
+        return _Links(tuple(drives), inertial)
+
+
 def _complete(
     robot: Robot,
+    links: _Links,
     readings: Readings,
     window: Filter,
     q: np.ndarray,
@@ -200,23 +281,24 @@ def _complete(
     driven = [i for c, i in missing if c == "q" and (c, i) not in direct]
     from_link = [i for c, i in missing if c == "theta" and (c, i) not in direct]
     for channel, i in direct:
-        drive = robot.joints[i].drive
-        phi = _back(window, window.spectrum(readings.tau_t[i]) * window.gain / (drive.K + drive.D * s))
+        drive = links.drives[i]
+        phi = _back(window, window.spectrum(readings.tau_t[i]) / (drive.K + drive.D * s))
         if channel == "q":
             q[i] = theta[i] - phi
         else:
             theta[i] = q[i] + phi
     if driven:
-        _driven_links(robot, window, q, theta, driven, passive)
+        _driven_links(robot, links, window, q, theta, driven, passive)
     if from_link:
         tau = along(robot, window, q, passive).tau
         for i in from_link:
-            drive = robot.joints[i].drive
+            drive = links.drives[i]
             theta[i] = q[i] + _back(window, window.spectrum(tau[i]) / (drive.K + drive.D * s))
 
 
 def _driven_links(
     robot: Robot,
+    links: _Links,
     window: Filter,
     q: np.ndarray,
     theta: np.ndarray,
@@ -225,8 +307,8 @@ def _driven_links(
 ) -> None:
     """Links without encoder, driven by their measured motors through the nominal spring, in place: linearly
     implicit midpoint steps on M q'' + nle = K (theta - q) + D (theta' - q'), the other links as measured."""
-    body = PinBody(robot.model)
-    drives = [robot.joints[i].drive for i in joints]
+    body = PinBody(robot.model, inertial=links.inertial)
+    drives = [links.drives[i] for i in joints]
     stiff, damp = np.array([d.K for d in drives]), np.array([d.D for d in drives])
     at, v, a = whole_motion(robot, window, q, passive, 0.25)
     h = window.period / DRIVEN_SUBSTEPS
@@ -291,20 +373,14 @@ def along(
     """Rigid-body torques and sensitivities along link angles q (n, N)."""
     body = PinBody(robot.model)
     rows = [joint.idx_v for joint in robot.joints]
+    filtered = Filtered(robot, window, q, passive)
 
-    # RNEA(F q) differs from F RNEA(q) by a term in the window's variance. With shares 1/4 and 1/2 of the
-    # variance before RNEA and the rest after it, that term cancels in 2 R(1/4) - R(1/2) (Richardson);
-    # noise, to which RNEA is nearly linear, passes both alike.
-    quarter, half = (
-        window.smooth_share(
-            body.rnea_batch(*whole_motion(robot, window, q, passive, share))[:, rows].T, 1.0 - share
-        )
-        for share in (0.25, 0.5)
-    )
-    motion = whole_motion(robot, window, q, passive, 1.0)
+    def torques(at: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(body.rnea_batch(at, v, a)[:, rows].T)
+
     own = body.inertial if robot.own_inertial is None else robot.own_inertial
     inertial = own[[joint.pin_id - 1 for joint in robot.joints]]
-    return Rigid(2.0 * quarter - half, Regressor(robot, *motion), inertial, robot.gravity, robot, motion)
+    return Rigid(filtered.of(torques), Regressor(filtered), inertial, robot.gravity, filtered)
 
 
 def mass_along(motion: Motion, inertial: np.ndarray, every: int) -> np.ndarray:

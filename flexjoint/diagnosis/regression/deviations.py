@@ -11,12 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.balances.balances import MOTOR
+from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
+from flexjoint.diagnosis.balances.motion import reconstruct
 from flexjoint.diagnosis.regression import whitening
 from flexjoint.diagnosis.regression.nuisance import as_effects
 from flexjoint.diagnosis.regression.problem import REMEMBERED, Problem
 from flexjoint.effects import Planned, Site
 
+LINK_ROUNDS = 5  # at most, in which links without encoder are put where the likely numbers have them
 MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
 MOST_HALVINGS = 6  # of a step that raises the energy
 CONVERGED = 0.1  # what they explain changes by less than this energy
@@ -27,6 +29,26 @@ def deviation_effects(problem: Problem, deviations: np.ndarray) -> list[Planned]
     other_component = problem.settings.regression.other_component
     inertial = problem.motion.rigid.inertial
     return as_effects(problem.nuisance, -deviations, inertial, problem.robot, other_component)
+
+
+def about_likely_links(problem: Problem) -> Problem:
+    """The problem with the links that have no encoder where the likely nominal numbers put them, those that
+    explain most of the residual: balances are linear about the links' motion, and twice the error of a number
+    makes four times the error of that. The problem itself, where all links are measured."""
+    if not problem.balances.missing_links:
+        return problem
+    motions = (problem.motion, problem.balances.denoised.motion)
+    robot, recording = problem.robot, problem.readings.recording
+    best, least = problem, problem.energy(problem.residual([]))
+    for _ in range(LINK_ROUNDS):
+        y = best.residual([])
+        numbers = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
+        trial = Problem(TwinBalances(*(reconstruct(robot, m.readings, recording, numbers) for m in motions)))
+        energy = trial.energy(trial.residual([]))
+        if energy > least - CONVERGED:
+            break
+        best, least = trial, energy
+    return best
 
 
 def converged_deviations(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:

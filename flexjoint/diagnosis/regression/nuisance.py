@@ -24,6 +24,7 @@ STEP = 0.01  # prior deviations, of a derivative where friction sticks: a whole 
 REMEMBERED = 1.5e7  # bytes of columns beside effects, before they are whitened
 AT_ORIGIN = 1e-6  # m, rounding of a description
 JUMP = "jump between samples"
+START = "state of a link without encoder at the start"
 JUMP_MEMORY = 1e8  # bytes of all of them: the largest ones, where there are more
 
 
@@ -54,7 +55,7 @@ class NominalNumber(Parameter):
     def of_the_robot(self) -> bool:
         """Whether it is a number that the robot file states, so that a large deviation of it is implausible;
         not an unknown one (what a torque did between samples)."""
-        return self.name != JUMP
+        return self.name not in (JUMP, START)
 
 
 class DriveDeviation(Effect):
@@ -138,7 +139,7 @@ class Columns:
         columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
         if self.robot.file.offsets == "per_recording":
             columns += self._offset_columns()
-        columns += self._jump_columns()
+        columns += self._jump_columns() + self._start_columns()
         self.claimed = np.array([number.of_the_robot for number in self.nuisance], dtype=bool)
         self.matrix = np.empty((len(columns), self.samples))
         for k in range(len(columns)):  # each is freed as it is taken over: together they are large
@@ -260,6 +261,14 @@ class Columns:
             columns += list(axes.T @ each)
             self._jumps.append(Unknown(i, when, pairs, axes))
         self.nuisance += [NominalNumber(JUMP)] * len(columns)
+        return columns
+
+    def _start_columns(self) -> list[np.ndarray]:
+        """Columns of where links without encoder are at the start, and how fast: no reading tells."""
+        columns = []
+        for rows in self.whitening.noise.balances.missing_links.free():
+            columns.append(self.whitening.white(self.whitening.band_of(rows)).ravel())
+            self.nuisance.append(NominalNumber(START))
         return columns
 
     def _pair_column(self, i: int, k: int, pair: np.ndarray) -> np.ndarray:

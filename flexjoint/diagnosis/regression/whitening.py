@@ -83,10 +83,31 @@ class Whitening:
         used = np.array([row for row in sorted(spectra) if np.any(spectra[row])], dtype=int)
         if not used.size:
             return Band(used, np.zeros((0, self.taper.size), dtype=complex))
-        # what lies beyond edges and gaps is cut off first, for whitening would spread it over the record
         series = fft.irfft(np.array([spectra[row] for row in used]), self.size, axis=-1)
-        series *= self.window
-        return Band(used, fft.rfft(series, axis=-1)[:, : self.taper.size] * self.taper)
+        links = self.noise.balances.missing_links
+        if links:
+            count = self.noise.balances.filter.count
+            moved = links.moved(used.tolist(), series[:, :count])
+            rows = np.array(sorted({*used.tolist(), *moved}), dtype=int)
+            both = np.zeros((rows.size, self.size))
+            both[np.searchsorted(rows, used)] = series
+            for row, change in moved.items():
+                both[np.searchsorted(rows, row), :count] += change
+            used, series = rows, both
+        return self._windowed(used, series)
+
+    def band_of(self, series: Mapping[int, np.ndarray]) -> Band:
+        """The whitened part of series (N,) of some balances, by row, that links without encoder have moved
+        already."""
+        rows = np.array(sorted(series), dtype=int)
+        padded = np.zeros((rows.size, self.size))
+        padded[:, : self.noise.balances.filter.count] = [series[row] for row in rows.tolist()]
+        return self._windowed(rows, padded)
+
+    def _windowed(self, rows: np.ndarray, series: np.ndarray) -> Band:
+        # what lies beyond edges and gaps is cut off first, for whitening would spread it over the record
+        spectra = fft.rfft(series * self.window, axis=-1)
+        return Band(rows, spectra[:, : self.taper.size] * self.taper)
 
     def white(self, band: Band) -> np.ndarray:
         """(m, K): whitened series at the usable samples."""

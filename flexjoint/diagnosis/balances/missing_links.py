@@ -1,0 +1,162 @@
+"""Links without an encoder: what an error of the balances moves them by, along a motion.
+
+The angle of such a link follows from the nominal model (motion.py), and a number that is off, or an effect,
+moves it. Whitening eliminates that to first order with the mass matrix and the stiffness of the mean posture
+(whitening.py). What is left is their change along the motion, times the movement, which is simulated here by
+the equations of the links, linear about the nominal motion:
+
+    M(t) dq'' + (C(t) + D) dq' + (G(t) + K) dq = error of the links' balances
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+from scipy.linalg.lapack import dtbtrs
+
+from flexjoint.diagnosis.balances.motion import Motion
+
+FREE = 100.0  # times its RMS, a deflection that nothing prevents
+
+
+@dataclass(frozen=True)
+class Movement:
+    """dq, dq' and dq'' (k, N) of some joints' links."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+
+class MissingLinks:
+    """The links of a motion that have no encoder; `row_of` maps (balance, joint) to a row of the balances."""
+
+    def __init__(self, motion: Motion, loaded: dict[int, int], springs: dict[int, int]) -> None:
+        """`loaded` is the row, by joint, of the balance that carries the link's load, `springs` that of the
+        torque sensor's."""
+        missing = [i for channel, i in motion.missing if channel == "q"]
+        self._motion, self._loaded, self._springs = motion, loaded, springs
+        self._told = [i for i in missing if i in springs]  # by their torque sensors
+        self._driven = [i for i in missing if i not in springs]  # by their motors
+
+    def __bool__(self) -> bool:
+        return bool(self._told or self._driven)
+
+    def moved(self, rows: Sequence[int], series: np.ndarray) -> dict[int, np.ndarray]:
+        """(N,) by row, what errors (k, N) of some rows of the balances add to balances, as the links that
+        they move are not in the mean posture; nothing where no such link moves."""
+        error = dict(zip(rows, series, strict=True))
+        count = self._motion.filter.count
+        moving = [i for i in self._told if self._springs[i] in error]
+        told = [(i, self._by_spring(i, error[self._springs[i]])) for i in moving]
+        force = np.array([error.get(self._loaded[i], np.zeros(count)) for i in self._driven])
+        for i, movement in told:
+            for d, joint in enumerate(self._driven):
+                force[d] -= self._torque(joint, i, movement)
+        return self._added([*told, *self._by_load(force)] if np.any(force) else told)
+
+    def free(self) -> list[dict[int, np.ndarray]]:
+        """What the links add to the rows of balances, where each in turn starts elsewhere, by a multiple of
+        its deflection's RMS, or faster, by that in the time of an oscillation."""
+        k, count = len(self._driven), self._motion.filter.count
+        if not k:
+            return []
+        mass, _, stiffness = (np.mean(x, axis=0) for x in self._driven_matrices)
+        deflection = FREE * np.std(self._motion.theta - self._motion.q, axis=1)[self._driven]
+        speed = deflection * np.sqrt(np.diag(stiffness) / np.diag(mass))
+        still = np.zeros((k, count))
+        return [
+            self._added(self._by_load(still, np.eye(2 * k)[j] * size))
+            for j, size in enumerate((*deflection, *speed))
+        ]
+
+    def _added(self, movements: Sequence[tuple[int, Movement]]) -> dict[int, np.ndarray]:
+        """(N,) by row, what movements of links add to the balances, beyond those in the mean posture."""
+        out: dict[int, np.ndarray] = {}
+        for i, movement in movements:
+            for joint, row in self._loaded.items():
+                change = -self._torque(joint, i, movement, beyond_mean=True)
+                out[row] = out[row] + change if row in out else change
+        return out
+
+    def _by_spring(self, i: int, error: np.ndarray) -> Movement:
+        """What an error of the sensor's torque moves the link by: (K + D s) dq = - error."""
+        drive, window = self._motion.robot.joints[i].drive, self._motion.filter
+        s = 1j * window.omega
+        spectrum = -window.spectrum(error) / (drive.K + drive.D * s)
+        orders = np.array([spectrum * s**order for order in range(3)])
+        return Movement(*fft.irfft(orders, window.size, axis=-1)[:, : window.count])
+
+    def _by_load(self, force: np.ndarray, start: np.ndarray | None = None) -> list[tuple[int, Movement]]:
+        """What torques (k, N) on the driven links move them by, by the trapezoidal rule, from a `start`
+        (2 k,) of positions and speeds; from rest where the springs carry them without one."""
+        if not self._driven:
+            return []
+        k, count = force.shape
+        mass, damping, stiffness = self._driven_matrices
+        drive = np.zeros((count, 2 * k))
+        mean = 0.5 * (force[:, :-1] + force[:, 1:]).T
+        if start is None:
+            drive[0, :k] = np.linalg.solve(stiffness[0], force[:, 0])
+        else:
+            drive[0] = start
+        drive[1:] = np.einsum("tij,tj->ti", self._steps[1], mean)
+        state, info = dtbtrs(self._recurrence, drive.reshape(-1, 1), uplo="L", diag="U")
+        assert info == 0  # the diagonal is 1
+        q, v = np.moveaxis(state.reshape(count, 2, k), 0, -1)
+        held = np.einsum("tij,jt->it", damping, v) + np.einsum("tij,jt->it", stiffness, q)
+        a = np.linalg.solve(mass, (force - held).T[:, :, None])[:, :, 0].T
+        return [(i, Movement(q[d], v[d], a[d])) for d, i in enumerate(self._driven)]
+
+    @cached_property
+    def _driven_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(N, k, k) mass, damping and stiffness of the driven links with their springs."""
+        rigid, pick = self._motion.rigid, np.ix_(range(self._motion.filter.count), self._driven, self._driven)
+        drives = [self._motion.robot.joints[i].drive for i in self._driven]
+        return (
+            np.asarray(rigid.mass[pick]),
+            rigid.by_v[pick] + np.diag([drive.D for drive in drives]),
+            rigid.by_q[pick] + np.diag([drive.K for drive in drives]),
+        )
+
+    @cached_property
+    def _steps(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N - 1, 2 k, 2 k) and (N - 1, 2 k, k): the state (dq, dq') after a step, of the one before it and
+        of the mean torque."""
+        h, k = self._motion.filter.period, len(self._driven)
+        mass, damping, stiffness = (0.5 * (x[:-1] + x[1:]) for x in self._driven_matrices)
+        one = np.broadcast_to(np.eye(k), mass.shape)
+        # M dv = h (f - C v - K q) and dq = h v, each with the means of both ends
+        left = np.block([[one, -0.5 * h * one], [0.5 * h * stiffness, mass + 0.5 * h * damping]])
+        right = np.block([[one, 0.5 * h * one], [-0.5 * h * stiffness, mass - 0.5 * h * damping]])
+        pushed = np.concatenate([np.zeros_like(mass), h * one], axis=1)
+        solved = np.linalg.solve(left, np.concatenate([right, pushed], axis=2))
+        return solved[:, :, : 2 * k], solved[:, :, 2 * k :]
+
+    @cached_property
+    def _recurrence(self) -> np.ndarray:
+        """The steps as a banded matrix (LAPACK's lower form): state - step times the state before = drive."""
+        step = self._steps[0]
+        size = step.shape[1]
+        band = np.zeros((2 * size, (len(step) + 1) * size))
+        band[0] = 1.0
+        for row in range(size):
+            for column in range(size):
+                band[size + row - column, column : len(step) * size : size] = -step[:, row, column]
+        return band
+
+    def _torque(self, joint: int, i: int, movement: Movement, beyond_mean: bool = False) -> np.ndarray:
+        """(N,) the torque at a joint by which its load changes with a movement of link i; or only what it
+        changes beyond that in the mean posture."""
+        rigid = self._motion.rigid
+        total = np.zeros(self._motion.filter.count)
+        for gain, x in ((rigid.mass, movement.a), (rigid.by_v, movement.v), (rigid.by_q, movement.q)):
+            along = gain[:, joint, i].astype(float)
+            if beyond_mean:
+                along -= np.mean(along[self._motion.readings.valid])
+            total += along * x
+        return total

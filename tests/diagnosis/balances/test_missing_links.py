@@ -1,0 +1,156 @@
+"""Links without encoder: how they move with what is wrong, and what that adds to the balances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import interp1d
+from support.diagnose_cases import Case, as_recording, nominal
+
+from flexjoint.diagnosis.balances.balances import LINK, SPRING, TwinBalances, balances_of
+from flexjoint.diagnosis.balances.motion import reconstruct
+from flexjoint.diagnosis.regression.deviations import about_likely_links, deviation_effects
+from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.recording.table import Recording
+
+
+def without_links(recording: Recording) -> Recording:
+    """The recording of motor encoders and torques."""
+    kept = {
+        key: x for key, x in recording.columns.items() if key[0] in ("theta", "dtheta", "tau_m", "tau_cmd")
+    }
+    return replace(recording, columns=kept)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return without_links(as_recording(Case("crane", "rich", 31, inexact=0.03).with_causes()))
+
+
+@pytest.fixture(scope="module")
+def balances(recording: Recording) -> TwinBalances:
+    return balances_of(nominal("crane"), recording)
+
+
+def test_a_torque_on_the_links_moves_them_by_their_linear_equations(balances: TwinBalances) -> None:
+    """Against a tight solution of M dq'' + (C + D) dq' + (G + K) dq = torque, another integrator's."""
+    motion, links = balances.motion, balances.missing_links
+    robot, rigid, t = motion.robot, motion.rigid, motion.readings.time - motion.readings.time[0]
+    n = len(robot.joints)
+    push = 3.0 * np.sin(2.0 * np.pi * 1.3 * t) * np.minimum(t, 1.0)
+    force = np.zeros((n, t.size))
+    force[0] = push
+    matrices = [
+        interp1d(t, x, axis=0)
+        for x in (
+            rigid.mass,
+            rigid.by_v + np.diag([j.drive.D for j in robot.joints]),
+            rigid.by_q + np.diag([j.drive.K for j in robot.joints]),
+        )
+    ]
+    forced = interp1d(t, force)
+
+    def rates(time: float, x: np.ndarray) -> np.ndarray:
+        mass, damping, stiffness = (m(time) for m in matrices)
+        return np.concatenate(
+            [x[n:], np.linalg.solve(mass, forced(time) - damping @ x[n:] - stiffness @ x[:n])]
+        )
+
+    found = links._by_load(force)
+    exact = solve_ivp(
+        rates, (0.0, t[-1]), np.zeros(2 * n), t_eval=t, rtol=1e-8, atol=1e-12, max_step=motion.filter.period
+    )
+
+    for i, movement in found:
+        largest = np.max(np.abs(exact.y[:n]))
+        assert movement.q == pytest.approx(exact.y[i], abs=0.01 * largest)
+
+
+def test_what_they_add_is_the_change_of_the_links_equation_beyond_the_mean(balances: TwinBalances) -> None:
+    """A link that moves as the torque on it asks leaves nothing of that torque: what is added, and the mean
+    posture's part, take all of it."""
+    motion, links = balances.motion, balances.missing_links
+    n, t = len(motion.robot.joints), motion.readings.time - motion.readings.time[0]
+    force = np.zeros((n, t.size))
+    force[1] = 2.0 * np.sin(2.0 * np.pi * 0.8 * t) * np.minimum(t, 1.0)
+    rows = {row.joint: k for k, row in enumerate(balances.rows) if row.balance == LINK}
+    valid = motion.readings.valid
+
+    movements = dict(links._by_load(force))
+    added = links.moved([rows[k] for k in range(n)], force)
+
+    for k in range(n):
+        drive = motion.robot.joints[k].drive
+        taken = np.zeros(t.size)
+        for i, movement in movements.items():
+            for gain, x in (
+                (motion.rigid.mass, movement.a),
+                (motion.rigid.by_v, movement.v),
+                (motion.rigid.by_q, movement.q),
+            ):
+                taken += np.mean(gain[valid][:, k, i], dtype=float) * x
+        taken += drive.D * movements[k].v + drive.K * movements[k].q
+        left = force[k] + added[rows[k]] - taken
+        assert np.max(np.abs(left)) < 1e-6 * np.max(np.abs(force[1]))
+
+
+def test_numbers_that_are_off_are_explained_where_the_posture_varies(recording: Recording) -> None:
+    """The machine is healthy, and its numbers 3 % off: with links moved about the nominal ones and then about
+    the likely ones, no more is left than noise."""
+    problem = Problem(balances_of(nominal("crane"), recording))
+
+    better = about_likely_links(problem)
+
+    energies = [p.energy(p.residual([])) / p.noise_energy for p in (problem, better)]
+    assert energies[1] <= energies[0]
+    assert energies[1] < 1.1
+    assert np.max(better.variances(better.residual([]))) < 2.0
+
+
+def test_a_deviation_s_column_is_what_links_made_of_it_leave(recording: Recording) -> None:
+    """Along links that follow from a number that is off, the balances with that number are those of the
+    nominal robot along its own links: the column is the change back, to first order."""
+    robot = nominal("crane")
+    problem = Problem(balances_of(robot, recording))
+    k = next(k for k, number in enumerate(problem.nuisance) if number.name == "spring_stiffness")
+    numbers = np.zeros(len(problem.nuisance))
+    numbers[k] = -1.0
+    off = deviation_effects(problem, numbers)
+    readings = problem.motion.readings
+    there = TwinBalances(
+        reconstruct(robot, readings, recording, off),
+        reconstruct(robot, problem.balances.denoised.motion.readings, recording, off),
+    )
+
+    at_nominal, made_of_it = problem.residual([]), problem.whitening.apply(there.residual(off)).ravel()
+    plain = problem.whitening.white(problem.whitening.band(problem.balances.changed([], off))).ravel()
+
+    # the motion is another one, but the machine that it belongs to is the one that was asked for
+    change = np.std(made_of_it - at_nominal)
+    assert change < 0.3 * np.std(plain) + 0.3 * np.std(at_nominal)
+
+
+def test_links_that_are_measured_are_left_alone() -> None:
+    measured = balances_of(nominal("lever"), as_recording(Case("lever", "rich", 5).with_causes()))
+
+    assert not measured.missing_links
+    problem = Problem(measured)
+    assert about_likely_links(problem) is problem
+
+
+def test_an_angle_made_of_a_torque_sensor_s_reading_leaves_nothing_of_it() -> None:
+    """The reading is filtered once, as all others: twice would leave the fast part of every torque."""
+    whole = as_recording(Case("crane", "steps", 9).with_causes())
+    kept = {key: x for key, x in whole.columns.items() if key[0] in ("q", "dq", "tau_t")}
+    found = balances_of(nominal("crane"), replace(whole, columns=kept))
+    springs = [k for k, row in enumerate(found.rows) if row.balance == SPRING]
+
+    left = found.time_series(found.residual([]))[:, found.motion.readings.valid]
+
+    assert springs
+    scale = found.torque_scale()
+    for k in springs:
+        assert np.std(left[k]) < 1e-9 * scale[found.rows[k].joint]
