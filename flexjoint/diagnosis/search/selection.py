@@ -333,8 +333,9 @@ def exchange(
             result = at_own_level(again)
             replaced = next(e for e in result.effects if e.key == key)
         without = refit_without(result, replaced)
-        needed = without.energy - result.energy
-        tried = polish(without, search.scan(without, replaced), needed, search.pool)
+        scanned = search.scan(without, replaced)
+        needed = _needed(without.energy - result.energy, scanned, key)
+        tried = polish(without, scanned, needed, search.pool)
         fits = [f for f in tried if f.effects[-1].key != key]
         fits = [f for f in fits if not (contradicted(f, without) or stands_in(f, f.effects[-1]))]
         fits += [
@@ -354,6 +355,12 @@ def exchange(
                 continue
         rivals[key] = tuple(sorted(fits, key=score))
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
+
+
+def _needed(explained: float, scanned: Sequence[Scored], key: Key) -> float:
+    """Energy that a rival must remove to be tried in the place of an effect: what the effect explains, or to
+    first order, as rivals are scanned, where that is less."""
+    return min(explained, max((s.removes for s in scanned if s.candidate.key == key), default=explained))
 
 
 def _still_better(refitted: Fit, result: Fit) -> bool:

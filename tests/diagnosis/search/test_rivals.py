@@ -1,0 +1,50 @@
+"""Rivals of a cause: which are tried in its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from planting import Planted, plant, robot_file
+from support.diagnose_cases import QUIET, Case, as_recording, nominal
+
+from flexjoint.core.running.worker_pool import worker_pool
+from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.regression.fit import fit
+from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.search.candidates import enumerate_candidates
+from flexjoint.diagnosis.search.criteria import at_own_level
+from flexjoint.diagnosis.search.scan import Scanner
+from flexjoint.diagnosis.search.selection import Search, _needed, exchange
+from flexjoint.effects import effect
+from flexjoint.robot.robot import load
+
+COULOMB = Planted("motor_coulomb_friction", "joint_0", {"level": 0.00113})
+
+
+def test_the_truth_is_tried_in_the_place_of_a_law_that_does_the_same() -> None:
+    """The joint carries a load that hardly changes: friction in proportion to it is Coulomb friction. Of both
+    a scan shows half of what they explain once they stick where they stick, and of a law with more numbers
+    nearly all: it must not keep the simple law from being tried."""
+    file = robot_file("drawn_200003_of1_exact")
+    recorded = plant(file, [COULOMB], "steps", seconds=7.0, seed=5, sensors=QUIET["ragged"], rate=200.0)
+    problem = Problem(balances_of(load(file), as_recording(recorded)))
+    best = at_own_level(fit(problem, [effect("load_friction", "joint_0", coefficient=0.01)]))
+    with worker_pool([], 1) as pool:
+        search = Search(Scanner(enumerate_candidates(problem)), pool)
+
+        found, rivals = exchange(search, best, best.effects)
+
+    names = {f.effects[-1].effect.name for f in rivals[0]} | {found.effects[0].effect.name}
+    assert "motor_coulomb_friction" in names
+
+
+@pytest.mark.parametrize("share", [0.5, 1.5])
+def test_a_rival_is_asked_for_no_more_than_the_cause_shows(share: float) -> None:
+    case = Case("lever", "rich", 5)
+    problem = Problem(balances_of(nominal(case.robot), as_recording(case.with_causes())))
+    (scored, *_) = Scanner(enumerate_candidates(problem)).scan(fit(problem, []))
+    own = replace(scored, removes=100.0)
+
+    assert _needed(100.0 / share, [own], scored.candidate.key) == min(100.0, 100.0 / share)
+    assert _needed(7.0, [], scored.candidate.key) == 7.0
