@@ -21,6 +21,7 @@ from scipy.linalg.lapack import dtbtrs
 from flexjoint.diagnosis.balances.motion import Motion
 
 FREE = 100.0  # times its RMS, a deflection that nothing prevents
+GROWN = 1e3  # times a start, in rad or rad/s, from which a movement does not settle
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,32 @@ class MissingLinks:
         self._driven = [i for i in missing if i not in springs]  # by their motors
 
     def __bool__(self) -> bool:
-        return bool(self._told or self._driven)
+        """Whether there are any that can be followed."""
+        return bool(self._told or self._driven) and self._steady
+
+    @cached_property
+    def _steady(self) -> bool:
+        """Whether the driven links settle: of a spring that is too soft for its load the linear equations may
+        grow without end."""
+        still = np.zeros((len(self._driven), self._motion.filter.count))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return all(
+                float(np.max(np.abs(movement.q))) < GROWN * float(np.max(np.abs(start)))
+                for start in self._starts
+                for _, movement in self._by_load(still, start)
+            )
+
+    @cached_property
+    def _starts(self) -> list[np.ndarray]:
+        """(2 k,) each link in turn elsewhere, by a multiple of its deflection's RMS, or faster, by that in
+        the time of an oscillation."""
+        k = len(self._driven)
+        if not k:
+            return []
+        mass, _, stiffness = (np.mean(x, axis=0) for x in self._driven_matrices)
+        deflection = FREE * np.std(self._motion.theta - self._motion.q, axis=1)[self._driven]
+        rates = np.sqrt(np.abs(np.diag(stiffness)) / np.diag(mass))
+        return [np.eye(2 * k)[j] * size for j, size in enumerate((*deflection, *(deflection * rates)))]
 
     def moved(self, rows: Sequence[int], series: np.ndarray) -> dict[int, np.ndarray]:
         """(N,) by row, what errors (k, N) of some rows of the balances add to balances, as the links that
@@ -60,19 +86,11 @@ class MissingLinks:
         return self._added([*told, *self._by_load(force)] if np.any(force) else told)
 
     def free(self) -> list[dict[int, np.ndarray]]:
-        """What the links add to the rows of balances, where each in turn starts elsewhere, by a multiple of
-        its deflection's RMS, or faster, by that in the time of an oscillation."""
-        k, count = len(self._driven), self._motion.filter.count
-        if not k:
+        """What the links add to the rows of balances, where each in turn starts elsewhere, or faster."""
+        if not self:
             return []
-        mass, _, stiffness = (np.mean(x, axis=0) for x in self._driven_matrices)
-        deflection = FREE * np.std(self._motion.theta - self._motion.q, axis=1)[self._driven]
-        speed = deflection * np.sqrt(np.diag(stiffness) / np.diag(mass))
-        still = np.zeros((k, count))
-        return [
-            self._added(self._by_load(still, np.eye(2 * k)[j] * size))
-            for j, size in enumerate((*deflection, *speed))
-        ]
+        still = np.zeros((len(self._driven), self._motion.filter.count))
+        return [self._added(self._by_load(still, start)) for start in self._starts]
 
     def _added(self, movements: Sequence[tuple[int, Movement]]) -> dict[int, np.ndarray]:
         """(N,) by row, what movements of links add to the balances, beyond those in the mean posture."""

@@ -43,7 +43,10 @@ def about_likely_links(problem: Problem) -> Problem:
     for _ in range(LINK_ROUNDS):
         y = best.residual([])
         numbers = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
-        trial = Problem(TwinBalances(*(reconstruct(robot, m.readings, recording, numbers) for m in motions)))
+        moved = [reconstruct(robot, m.readings, recording, numbers) for m in motions]
+        if not all(np.isfinite(m.q).all() for m in moved):  # such numbers may make no mechanism
+            break
+        trial = Problem(TwinBalances(*moved))
         energy = trial.energy(trial.residual([]))
         if energy > least - CONVERGED:
             break

@@ -16,6 +16,7 @@ from flexjoint.core.running.worker_pool import one_thread
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
 from flexjoint.diagnosis.followup.agreement.spread import Series, repeated
+from flexjoint.diagnosis.regression.deviations import about_likely_links
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.shared_numbers import SharedNumbers
@@ -98,7 +99,7 @@ def _lasting(diagnosis: Diagnosis) -> tuple[Planned, ...]:
 
 
 def _own(robot: Robot, recording: Recording, causes: Sequence[Planned], settings: Settings) -> _Own:
-    problem = Problem(balances_of(robot, recording, settings))
+    problem = about_likely_links(Problem(balances_of(robot, recording, settings)))
     rounds = settings.agreement.iterations
     first = problem.plausible_level(problem.about(causes).residual(causes))
     best = fit(problem.at(first), causes, iterations=rounds)

@@ -18,6 +18,7 @@ from flexjoint.diagnosis.balances.usable import refusal
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.followup.checking import left, numbers
 from flexjoint.diagnosis.followup.checking.values import Check, CheckedCause, CheckedJoint
+from flexjoint.diagnosis.regression.deviations import about_likely_links
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.recorded import Recorded
@@ -103,7 +104,7 @@ def _looked_at(robot: Robot, recording: Recording, settings: Settings) -> tuple[
 def _problem(known: Known, recording: Recording, balances: TwinBalances) -> Problem:
     """What the known causes are fitted to: the balances in which they were found."""
     if not known.robust:
-        return Problem(balances)
+        return about_likely_links(Problem(balances))
     return blunted(known.robot, recording, Recorded(balances), known.causes)
 
 

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.regression.deviations import about_likely_links
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.settings import LearnSettings, Settings
 from flexjoint.effects import Planned
@@ -56,7 +57,7 @@ class Evidence:
     ) -> Evidence:
         problems = []
         for robot, recording in zip(robots, recordings, strict=True):
-            problem = Problem(balances_of(robot, recording, settings)).about(causes)
+            problem = about_likely_links(Problem(balances_of(robot, recording, settings))).about(causes)
             problems.append(problem.at(problem.plausible_level(problem.residual(causes))))
         parts = tuple(
             part for k, problem in enumerate(problems) for part in _parts(k, problem, len(problems))
