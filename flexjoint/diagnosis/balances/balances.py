@@ -57,8 +57,7 @@ class Balances:
         loaded = {
             r.joint: k for k, r in enumerate(self.rows) if r.balance == (MOTOR if rigid[r.joint] else LINK)
         }
-        springs = {r.joint: k for k, r in enumerate(self.rows) if r.balance == SPRING}
-        self.missing_links = MissingLinks(motion, loaded, springs)
+        self.missing_links = MissingLinks(motion, loaded)
         self.colours: dict[int, Colour] = {}  # of noise, which only a twin without it tells
 
     @property

@@ -1,4 +1,4 @@
-"""Links without an encoder: what an error of the balances moves them by, along a motion.
+"""Links that only their motors tell of: what an error of the balances moves them by, along a motion.
 
 The angle of such a link follows from the nominal model (motion.py), and a number that is off, or an effect,
 moves it. Whitening eliminates that to first order with the mass matrix and the stiffness of the mean posture
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import fft
 from scipy.linalg.lapack import dtbtrs
 
 from flexjoint.diagnosis.balances.motion import Motion
@@ -34,19 +33,18 @@ class Movement:
 
 
 class MissingLinks:
-    """The links of a motion that have no encoder; `row_of` maps (balance, joint) to a row of the balances."""
+    """The links of a motion that have neither encoder nor torque sensor. (A torque sensor tells of a link by
+    itself, and its own errors would move it.)"""
 
-    def __init__(self, motion: Motion, loaded: dict[int, int], springs: dict[int, int]) -> None:
-        """`loaded` is the row, by joint, of the balance that carries the link's load, `springs` that of the
-        torque sensor's."""
-        missing = [i for channel, i in motion.missing if channel == "q"]
-        self._motion, self._loaded, self._springs = motion, loaded, springs
-        self._told = [i for i in missing if i in springs]  # by their torque sensors
-        self._driven = [i for i in missing if i not in springs]  # by their motors
+    def __init__(self, motion: Motion, loaded: dict[int, int]) -> None:
+        """`loaded` is the row, by joint, of the balance that carries the link's load."""
+        self._motion, self._loaded = motion, loaded
+        told = np.isfinite(motion.readings.tau_t[:, 0])
+        self._driven = [i for channel, i in motion.missing if channel == "q" and not told[i]]
 
     def __bool__(self) -> bool:
         """Whether there are any that can be followed."""
-        return bool(self._told or self._driven) and self._steady
+        return bool(self._driven) and self._steady
 
     @cached_property
     def _steady(self) -> bool:
@@ -65,8 +63,6 @@ class MissingLinks:
         """(2 k,) each link in turn elsewhere, by a multiple of its deflection's RMS, or faster, by that in
         the time of an oscillation."""
         k = len(self._driven)
-        if not k:
-            return []
         mass, _, stiffness = (np.mean(x, axis=0) for x in self._driven_matrices)
         deflection = FREE * np.std(self._motion.theta - self._motion.q, axis=1)[self._driven]
         rates = np.sqrt(np.abs(np.diag(stiffness)) / np.diag(mass))
@@ -76,14 +72,9 @@ class MissingLinks:
         """(N,) by row, what errors (k, N) of some rows of the balances add to balances, as the links that
         they move are not in the mean posture; nothing where no such link moves."""
         error = dict(zip(rows, series, strict=True))
-        count = self._motion.filter.count
-        moving = [i for i in self._told if self._springs[i] in error]
-        told = [(i, self._by_spring(i, error[self._springs[i]])) for i in moving]
-        force = np.array([error.get(self._loaded[i], np.zeros(count)) for i in self._driven])
-        for i, movement in told:
-            for d, joint in enumerate(self._driven):
-                force[d] -= self._torque(joint, i, movement)
-        return self._added([*told, *self._by_load(force)] if np.any(force) else told)
+        still = np.zeros(self._motion.filter.count)
+        force = np.array([error.get(self._loaded[i], still) for i in self._driven])
+        return self._added(self._by_load(force)) if np.any(force) else {}
 
     def free(self) -> list[dict[int, np.ndarray]]:
         """What the links add to the rows of balances, where each in turn starts elsewhere, or faster."""
@@ -97,23 +88,13 @@ class MissingLinks:
         out: dict[int, np.ndarray] = {}
         for i, movement in movements:
             for joint, row in self._loaded.items():
-                change = -self._torque(joint, i, movement, beyond_mean=True)
+                change = -self._torque(joint, i, movement)
                 out[row] = out[row] + change if row in out else change
         return out
-
-    def _by_spring(self, i: int, error: np.ndarray) -> Movement:
-        """What an error of the sensor's torque moves the link by: (K + D s) dq = - error."""
-        drive, window = self._motion.robot.joints[i].drive, self._motion.filter
-        s = 1j * window.omega
-        spectrum = -window.spectrum(error) / (drive.K + drive.D * s)
-        orders = np.array([spectrum * s**order for order in range(3)])
-        return Movement(*fft.irfft(orders, window.size, axis=-1)[:, : window.count])
 
     def _by_load(self, force: np.ndarray, start: np.ndarray | None = None) -> list[tuple[int, Movement]]:
         """What torques (k, N) on the driven links move them by, by the trapezoidal rule, from a `start`
         (2 k,) of positions and speeds; from rest where the springs carry them without one."""
-        if not self._driven:
-            return []
         k, count = force.shape
         mass, damping, stiffness = self._driven_matrices
         drive = np.zeros((count, 2 * k))
@@ -167,14 +148,12 @@ class MissingLinks:
                 band[size + row - column, column : len(step) * size : size] = -step[:, row, column]
         return band
 
-    def _torque(self, joint: int, i: int, movement: Movement, beyond_mean: bool = False) -> np.ndarray:
-        """(N,) the torque at a joint by which its load changes with a movement of link i; or only what it
-        changes beyond that in the mean posture."""
+    def _torque(self, joint: int, i: int, movement: Movement) -> np.ndarray:
+        """(N,) the torque at a joint by which its load changes with a movement of link i, beyond that in the
+        mean posture."""
         rigid = self._motion.rigid
         total = np.zeros(self._motion.filter.count)
         for gain, x in ((rigid.mass, movement.a), (rigid.by_v, movement.v), (rigid.by_q, movement.q)):
             along = gain[:, joint, i].astype(float)
-            if beyond_mean:
-                along -= np.mean(along[self._motion.readings.valid])
-            total += along * x
+            total += (along - np.mean(along[self._motion.readings.valid])) * x
         return total

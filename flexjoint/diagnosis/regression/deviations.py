@@ -32,9 +32,9 @@ def deviation_effects(problem: Problem, deviations: np.ndarray) -> list[Planned]
 
 
 def about_likely_links(problem: Problem) -> Problem:
-    """The problem with the links that have no encoder where the likely nominal numbers put them, those that
-    explain most of the residual: balances are linear about the links' motion, and twice the error of a number
-    makes four times the error of that. The problem itself, where all links are measured."""
+    """The problem with the links that only their motors tell of where the likely nominal numbers put them,
+    those that explain most of the residual: balances are linear about the links' motion, and twice the error
+    of a number makes four times the error of that. The problem itself, where there are none."""
     if not problem.balances.missing_links:
         return problem
     motions = (problem.motion, problem.balances.denoised.motion)

@@ -25,7 +25,7 @@ from flexjoint.robot.robot import Robot
 
 FILTER_SAMPLES = 2.0  # ... this many samples, below which its sampled kernel aliases
 PADDED_SIGMAS = 4.5  # of the filter, within which it mixes in what lies beyond an end
-WIENER_SEGMENT = 384  # samples, of the spectra by which noise is separated from motion,
+WIENER_SEGMENT = 512  # samples, of the spectra by which noise is separated from motion,
 WIENER_HOPS = 4  # ... as many of which overlap,
 WIENER_BINS = 9  # ... as many frequencies of which tell a power,
 WIENER_SIGNAL = 3.0  # ... and times the noise's, from which it is no noise by chance

@@ -115,7 +115,7 @@ def test_a_coarse_encoder_is_no_error_of_the_model(name: str, excitation: str) -
     problem = Problem(balances_of(nominal(name), as_recording(recorded)))
     left = np.mean(rows_of(problem, problem.residual([])) ** 2, axis=1)
 
-    assert np.all(left < 1.25)  # at most 1.16
+    assert np.all(left < 1.25)  # at most 1.22
 
 
 @pytest.mark.parametrize("name", ["lever_exact", "turret_exact"])
