@@ -25,7 +25,7 @@ GROWN = 1e3  # times a start, in rad or rad/s, from which a movement does not se
 
 @dataclass(frozen=True)
 class Movement:
-    """dq, dq' and dq'' (k, N) of some joints' links."""
+    """dq, dq' and dq'' (N,) of a link."""
 
     q: np.ndarray
     v: np.ndarray
@@ -48,8 +48,8 @@ class MissingLinks:
 
     @cached_property
     def _steady(self) -> bool:
-        """Whether the driven links settle: of a spring that is too soft for its load the linear equations may
-        grow without end."""
+        """Whether the links settle: of a spring that is too soft for its load the linear equations may grow
+        without end."""
         still = np.zeros((len(self._driven), self._motion.filter.count))
         with np.errstate(over="ignore", invalid="ignore"):
             return all(

@@ -18,7 +18,7 @@ from flexjoint.diagnosis.regression.nuisance import as_effects
 from flexjoint.diagnosis.regression.problem import REMEMBERED, Problem
 from flexjoint.effects import Planned, Site
 
-LINK_ROUNDS = 5  # at most, in which links without encoder are put where the likely numbers have them
+LINK_ROUNDS = 5  # at most, in which unmeasured links are put where the likely numbers have them
 MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
 MOST_HALVINGS = 6  # of a step that raises the energy
 CONVERGED = 0.1  # what they explain changes by less than this energy
