@@ -25,24 +25,20 @@ class DryFriction:
         self._window, self._sigma, self.settings = window, sigma, settings
         jomega = 1j * window.omega
         # noise of a filtered speed, per unit of white noise in the position
-        self._speed_noise = float(np.sqrt(np.mean((window.omega * window.gain) ** 2)))
+        self.speed_noise = float(np.sqrt(np.mean((window.omega * window.gain) ** 2)))
         # what the filter takes away, and its integral: (2, F), as two transforms at once take little longer
         lost, nothing = 1.0 - window.gain, np.zeros_like(jomega)
         self._lost = np.array([lost, np.divide(lost, jomega, out=nothing, where=window.omega > 0)])
 
-    def rest_speed(self, levels: np.ndarray, inertia: float, noise: float) -> float:
-        """[rad/s] below which a filtered speed's sign does not tell where a body goes, from the friction's
-        levels, the body's inertia and the noise of its position; in half octaves, so that a fit of the
-        level does not move it."""
+    def rest_speed(self, levels: np.ndarray, inertia: float, noise: np.ndarray) -> np.ndarray:
+        """(N,) [rad/s] below which a filtered speed's sign does not tell where a body goes, from the
+        friction's levels, the body's inertia and the noise (N,) of its speed; in half octaves, so that a fit
+        of the level does not move it."""
         rings = self.settings.rest_rings * self._sigma * float(np.max(levels)) / inertia
-        least = max(
-            self.settings.least_rest_speed,
-            rings,
-            self.settings.speed_deviations * noise * self._speed_noise,
-            1e-6,
-        )
+        least = max(self.settings.least_rest_speed, rings, 1e-6)
+        unknown = np.maximum(least, self.settings.speed_deviations * noise)
         most = self.settings.rest_speed
-        return float(most * 2.0 ** min(0.0, 0.5 * np.ceil(2.0 * np.log2(least / most))))
+        return np.asarray(most * 2.0 ** np.minimum(0.0, 0.5 * np.ceil(2.0 * np.log2(unknown / most))))
 
     def spectrum(
         self,
@@ -51,11 +47,11 @@ class DryFriction:
         net: np.ndarray,
         denoised_net: np.ndarray,
         inertia: float,
-        rest: float,
+        rest: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(F,) spectrum of the filtered friction torque, from its levels (2, N) backward and forward, and
         series (N,): the body's filtered speed, and what else pulls at it, as measured and without noise;
-        below the `rest` speed it stands. And where it sticks (N,), bool.
+        below the `rest` speed (N,) it stands. And where it sticks (N,), bool.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
@@ -85,9 +81,10 @@ class DryFriction:
         return -spectrum * window.gain, (moving < 0.5) & (least < sticking) & (sticking < most)
 
 
-def _moving(speed: np.ndarray, rest: float) -> np.ndarray:
+def _moving(speed: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """(2, N) share of the time about each sample in which a speed (N,), linear meanwhile, is above the `rest`
-    speed, forward and backward. A law that switched with the sample would jump with every number of a fit."""
+    speed (N,), forward and backward. A law that switched with the sample would jump with every number of a
+    fit."""
     change = np.empty_like(speed)
     change[1:-1] = 0.5 * np.abs(speed[2:] - speed[:-2])
     change[0], change[-1] = np.abs(speed[1] - speed[0]), np.abs(speed[-1] - speed[-2])
