@@ -30,15 +30,12 @@ class DryFriction:
         lost, nothing = 1.0 - window.gain, np.zeros_like(jomega)
         self._lost = np.array([lost, np.divide(lost, jomega, out=nothing, where=window.omega > 0)])
 
-    def rest_speed(self, levels: np.ndarray, inertia: float, noise: np.ndarray) -> np.ndarray:
-        """(N,) [rad/s] below which a filtered speed's sign does not tell where a body goes, from the
-        friction's levels, the body's inertia and the noise (N,) of its speed; in half octaves, so that a fit
-        of the level does not move it."""
-        rings = self.settings.rest_rings * self._sigma * float(np.max(levels)) / inertia
-        least = max(self.settings.least_rest_speed, rings, 1e-6)
-        unknown = np.maximum(least, self.settings.speed_deviations * noise)
-        most = self.settings.rest_speed
-        return np.asarray(most * 2.0 ** np.minimum(0.0, 0.5 * np.ceil(2.0 * np.log2(unknown / most))))
+    def rest_speed(self, noise: np.ndarray) -> np.ndarray:
+        """(N,) [rad/s] below which the sign of a speed does not tell where a body goes, from the noise (N,)
+        of the speed."""
+        limits = self.settings
+        least = np.maximum(max(limits.least_rest_speed, 1e-6), limits.speed_deviations * noise)
+        return np.minimum(least, limits.rest_speed)
 
     def spectrum(
         self,
@@ -47,28 +44,32 @@ class DryFriction:
         net: np.ndarray,
         denoised_net: np.ndarray,
         inertia: float,
-        rest: np.ndarray,
+        resolved: np.ndarray,
+        shared: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(F,) spectrum of the filtered friction torque, from its levels (2, N) backward and forward, and
-        series (N,): the body's filtered speed, and what else pulls at it, as measured and without noise;
-        below the `rest` speed (N,) it stands. And where it sticks (N,), bool.
+        series (N,): the body's filtered speed, what else pulls at it, as measured and without noise, and the
+        least speed that its noise leaves known. And where it sticks (N,), bool. What several joints share
+        stands already at a speed that it stops within the filter: how it creeps, no joint's torque tells.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
-        (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
+        (1 - F) friction, is known from the friction and given back, a few rounds until they agree. Where that
+        changes the speed, it is known no better.
         """
-        window = self._window
-        if float(np.std(net - denoised_net)) > self.settings.noisy_friction * float(np.max(levels)):
+        window, limits = self._window, self.settings
+        if float(np.std(net - denoised_net)) > limits.noisy_friction * float(np.max(levels)):
             net = denoised_net
         backward, forward = levels
-        most_at_rest = self.settings.most_at_rest
-        least, most = -most_at_rest * backward, most_at_rest * forward
+        least, most = -limits.most_at_rest * backward, limits.most_at_rest * forward
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
-        filtered = _moving(speed, rest)
-        reach = 2 * int(np.ceil(self.settings.ringing * self._sigma / window.period)) + 1
+        stopped = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
+        changed: np.ndarray | float = stopped
+        reach = self._within(limits.ringing)
         for further in reversed(range(FRICTION_ROUNDS)):
+            rest = np.clip(changed, resolved, limits.rest_speed)
             # the filtered speed must say so, too: where a body stands for longer than the filter between two
             # motions, the iteration would become unstable
-            ahead, back = np.minimum(_moving(sharp_speed, rest), filtered)
+            ahead, back = np.minimum(_moving(sharp_speed, rest), _moving(speed, rest))
             moving = ahead + back
             near, far_net = maximum_filter1d(moving, reach), denoised_net + lost
             sticking = np.clip(far_net + near * (sharp_net - far_net), least, most)
@@ -78,7 +79,13 @@ class DryFriction:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 sharp_net = net + lost
                 sharp_speed = speed - integral / inertia
+                if not shared:
+                    changed = maximum_filter1d(np.abs(integral), self._within(limits.rest_rings)) / inertia
         return -spectrum * window.gain, (moving < 0.5) & (least < sticking) & (sticking < most)
+
+    def _within(self, widths: float) -> int:
+        """Samples about one that are no more filter deviations away."""
+        return 2 * int(np.ceil(widths * self._sigma / self._window.period)) + 1
 
 
 def _moving(speed: np.ndarray, rest: np.ndarray) -> np.ndarray:

@@ -209,16 +209,15 @@ class Laws:
         net: np.ndarray,
         denoised_net: np.ndarray,
         inertia: float,
+        shared: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Spectrum of the effects' dry friction, and where it holds (dry_friction.py). `speed` is that of
-        what rubs, with its noise (`speed`)."""
-        limits, (moved, noise) = self.motion.readings.settings.balances, speed
+        what rubs, with its noise (`speed`), which several joints may have `shared`."""
+        moved, noise = speed
+        resolved = self.friction.rest_speed(noise)
         states = [self.state(e, signals) for e in effects]
-        levels = self.levels(effects, signals, moved, limits.rest_speed, states)
-        rest = self.friction.rest_speed(levels, inertia, noise)
-        if np.any(rest < limits.rest_speed):
-            levels = self.levels(effects, signals, moved, rest, states)
-        return self.friction.spectrum(levels, moved, net, denoised_net, inertia, rest)
+        levels = self.levels(effects, signals, moved, resolved, states)
+        return self.friction.spectrum(levels, moved, net, denoised_net, inertia, resolved, shared)
 
     def levels(
         self,

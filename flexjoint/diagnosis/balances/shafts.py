@@ -102,7 +102,8 @@ class Shafts:
         each = [(x, *along.speed(j, "dtheta", of[j])) for j, x in shaft.turns.items()]
         speed = np.asarray(sum(x * moved for x, moved, _ in each))
         noise = np.sqrt(sum((x * error) ** 2 for x, _, error in each))
-        spectrum, _ = along.rubbing(dry, s, (speed, noise), pulled[0], pulled[1], inertia)
+        shared = bool(np.count_nonzero(n) > 1)
+        spectrum, _ = along.rubbing(dry, s, (speed, noise), pulled[0], pulled[1], inertia, shared)
         return spectrum
 
 
