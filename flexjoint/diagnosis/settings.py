@@ -413,6 +413,13 @@ class SearchSettings(Stage):
         "that a cause, or a finer law, must explain at least, and by which ties may differ",
         "judgement",
     )
+    common_joints: int = number(
+        3,
+        "joints",
+        "with ordinary friction, if they are most, from which on it is the machine's: no other law takes its"
+        " place there, but may act beside it",
+        "judgement: a real arm has it on all",
+    )
     ordinary_share: float = number(
         0.5,
         "share of a joint's error (RMS)",

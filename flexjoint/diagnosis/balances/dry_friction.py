@@ -64,15 +64,18 @@ class DryFriction:
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
         stopped = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
         changed: np.ndarray | float = stopped
-        reach = self._within(limits.ringing)
+        reach, slope = self._within(limits.ringing), _per_change(speed)
         for further in reversed(range(FRICTION_ROUNDS)):
-            rest = np.clip(changed, resolved, limits.rest_speed)
+            rest = np.minimum(np.maximum(changed, resolved), limits.rest_speed)
             # the filtered speed must say so, too: where a body stands for longer than the filter between two
             # motions, the iteration would become unstable
-            ahead, back = np.minimum(_moving(sharp_speed, rest), _moving(speed, rest))
+            shares = _moving(speed, rest, slope)
+            if sharp_speed is not speed:
+                np.minimum(shares, _moving(sharp_speed, rest, _per_change(sharp_speed)), out=shares)
+            ahead, back = shares
             moving = ahead + back
             near, far_net = maximum_filter1d(moving, reach), denoised_net + lost
-            sticking = np.clip(far_net + near * (sharp_net - far_net), least, most)
+            sticking = np.minimum(np.maximum(far_net + near * (sharp_net - far_net), least), most)
             friction = ahead * forward - back * backward + (1.0 - moving) * sticking
             spectrum = window.spectrum(friction)
             if further:
@@ -88,12 +91,21 @@ class DryFriction:
         return 2 * int(np.ceil(widths * self._sigma / self._window.period)) + 1
 
 
-def _moving(speed: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def _moving(speed: np.ndarray, rest: np.ndarray, per_change: np.ndarray) -> np.ndarray:
     """(2, N) share of the time about each sample in which a speed (N,), linear meanwhile, is above the `rest`
-    speed (N,), forward and backward. A law that switched with the sample would jump with every number of a
-    fit."""
+    speed (N,), forward and backward; `per_change` is the speed's. A law that switched with the sample would
+    jump with every number of a fit."""
+    shares = np.empty((2, speed.size))
+    np.subtract(speed, rest, out=shares[0])
+    np.subtract(-speed, rest, out=shares[1])
+    shares *= per_change
+    shares += 0.5
+    return np.minimum(np.maximum(shares, 0.0, out=shares), 1.0, out=shares)
+
+
+def _per_change(speed: np.ndarray) -> np.ndarray:
+    """(N,) one over what a speed (N,) changes from half a sample before to half a sample after."""
     change = np.empty_like(speed)
     change[1:-1] = 0.5 * np.abs(speed[2:] - speed[:-2])
     change[0], change[-1] = np.abs(speed[1] - speed[0]), np.abs(speed[-1] - speed[-2])
-    shares = np.array([speed - rest, -speed - rest]) / np.maximum(change, 1e-300) + 0.5
-    return np.minimum(np.maximum(shares, 0.0, out=shares), 1.0, out=shares)
+    return np.asarray(1.0 / np.maximum(change, 1e-300))

@@ -40,7 +40,7 @@ from flexjoint.diagnosis.search.trials import (
     polish,
     sought_again,
 )
-from flexjoint.effects import Planned, Site, catalogue
+from flexjoint.effects import Effect, Planned, Site, catalogue
 
 STAGE = "search"  # in the trace
 PRUNED = "beside the others it no longer explains its price"
@@ -334,6 +334,8 @@ def exchange(
             replaced = next(e for e in result.effects if e.key == key)
         without = refit_without(result, replaced)
         scanned = search.scan(without, replaced)
+        if replaced.effect.ordinary and _rubs_all_over(result):
+            scanned = tuple(s for s in scanned if _ordinary_too(s.candidate.effect, replaced.effect))
         needed = _needed(without.energy - result.energy, scanned, key)
         tried = polish(without, scanned, needed, search.pool)
         fits = [f for f in tried if f.effects[-1].key != key]
@@ -355,6 +357,20 @@ def exchange(
                 continue
         rivals[key] = tuple(sorted(fits, key=score))
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
+
+
+def _rubs_all_over(result: Fit) -> bool:
+    """Whether ordinary friction is wrong on most joints: it is then the machine's, and not one joint's
+    cause."""
+    joints = {e.joint for e in result.effects if e.effect.ordinary}
+    limits, count = result.settings.search, len(result.problem.robot.joints)
+    return len(joints) >= limits.common_joints and 2 * len(joints) > count
+
+
+def _ordinary_too(rival: Effect, replaced: Effect) -> bool:
+    """Whether a law may take the place of an ordinary friction that every joint has: another such friction,
+    or one with it as a special case. Any other is looked for beside it."""
+    return rival.ordinary or replaced.name in rival.contains
 
 
 def _needed(explained: float, scanned: Sequence[Scored], key: Key) -> float:
