@@ -15,8 +15,8 @@ from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.scan import Scanner
-from flexjoint.diagnosis.search.selection import Search, _needed, exchange
-from flexjoint.effects import effect
+from flexjoint.diagnosis.search.selection import Search, _needed, _ordinary_too, _rubs_all_over, exchange
+from flexjoint.effects import catalogue, effect
 from flexjoint.robot.robot import load
 
 COULOMB = Planted("motor_coulomb_friction", "joint_0", {"level": 0.00113})
@@ -48,3 +48,17 @@ def test_a_rival_is_asked_for_no_more_than_the_cause_shows(share: float) -> None
 
     assert _needed(100.0 / share, [own], scored.candidate.key) == min(100.0, 100.0 / share)
     assert _needed(7.0, [], scored.candidate.key) == 7.0
+
+
+@pytest.mark.parametrize(("rubbing", "all_over"), [(2, False), (3, True)])
+def test_friction_of_most_joints_is_the_machines(rubbing: int, all_over: bool) -> None:
+    """No other law takes its place on one joint, but one that contains it."""
+    robot = nominal("gimbal")
+    problem = Problem(balances_of(robot, as_recording(Case("gimbal", "rich", 3).with_causes())))
+    rubs = [effect("motor_coulomb_friction", joint, level=0.5) for joint in robot.joint_names[:rubbing]]
+
+    assert _rubs_all_over(fit(problem, rubs)) is all_over
+    coulomb = rubs[0].effect
+    assert _ordinary_too(catalogue()["stribeck_friction"], coulomb)
+    assert _ordinary_too(catalogue()["motor_viscous_friction"], coulomb)
+    assert not _ordinary_too(catalogue()["quadratic_drag"], coulomb)
