@@ -257,6 +257,7 @@ class TwinBalances(Balances):
         """`denoised_rest`: whether the recording without noise says what a dry friction holds at rest."""
         super().__init__(motion)
         self.denoised = Balances(without_noise)
+        self.denoised.chains.noiseless = True
         self.chains.denoised = self.denoised.chains if denoised_rest else None
         self.colours = colours_of(motion.readings, without_noise.readings)
 

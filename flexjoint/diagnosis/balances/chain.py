@@ -48,6 +48,7 @@ class Chains(Laws):
     def __init__(self, motion: Motion) -> None:
         super().__init__(motion)
         self.denoised: Chains | None = None  # of the same motion without its sensors' noise
+        self.noiseless = False  # whether these are such ones
         self._recent: LruCache[Chain] = LruCache()
         self.loads = Loads(motion)
         self.shafts = Shafts(self, self._pull)
@@ -55,6 +56,10 @@ class Chains(Laws):
     @property
     def has_twin(self) -> bool:
         return self.denoised is not None
+
+    @property
+    def is_twin(self) -> bool:
+        return self.noiseless
 
     def get(self, i: int, effects: Sequence[Planned]) -> Chain:
         """The chain of joint i with these effects at work, its own, those of joints tied to it, and of
@@ -237,7 +242,12 @@ class Chains(Laws):
         if self.floating:
             net, denoised_net = net - np.mean(net), denoised_net - np.mean(denoised_net)
         return self.rubbing(
-            dry(at[Site.LINK]), signals, signals.dq, net, denoised_net, self.link_inertia(i), self.noise(i)
+            dry(at[Site.LINK]),
+            signals,
+            self.speed(i, "dq", signals),
+            net,
+            denoised_net,
+            self.link_inertia(i),
         )
 
     def _pulling(
@@ -273,7 +283,7 @@ class Chains(Laws):
         else:
             net = denoised_net = self.time_series(net_hat)
         return self.rubbing(
-            dry(at[Site.MOTOR]), signals, signals.dtheta, net, denoised_net, inertia, self.noise(i)
+            dry(at[Site.MOTOR]), signals, self.speed(i, "dtheta", signals), net, denoised_net, inertia
         )
 
     def _pull(self, i: int, effects: Sequence[Planned], sliding: np.ndarray, taken: np.ndarray) -> np.ndarray:

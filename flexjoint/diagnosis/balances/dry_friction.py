@@ -25,24 +25,17 @@ class DryFriction:
         self._window, self._sigma, self.settings = window, sigma, settings
         jomega = 1j * window.omega
         # noise of a filtered speed, per unit of white noise in the position
-        self._speed_noise = float(np.sqrt(np.mean((window.omega * window.gain) ** 2)))
+        self.speed_noise = float(np.sqrt(np.mean((window.omega * window.gain) ** 2)))
         # what the filter takes away, and its integral: (2, F), as two transforms at once take little longer
         lost, nothing = 1.0 - window.gain, np.zeros_like(jomega)
         self._lost = np.array([lost, np.divide(lost, jomega, out=nothing, where=window.omega > 0)])
 
-    def rest_speed(self, levels: np.ndarray, inertia: float, noise: float) -> float:
-        """[rad/s] below which a filtered speed's sign does not tell where a body goes, from the friction's
-        levels, the body's inertia and the noise of its position; in half octaves, so that a fit of the
-        level does not move it."""
-        rings = self.settings.rest_rings * self._sigma * float(np.max(levels)) / inertia
-        least = max(
-            self.settings.least_rest_speed,
-            rings,
-            self.settings.speed_deviations * noise * self._speed_noise,
-            1e-6,
-        )
-        most = self.settings.rest_speed
-        return float(most * 2.0 ** min(0.0, 0.5 * np.ceil(2.0 * np.log2(least / most))))
+    def rest_speed(self, noise: np.ndarray) -> np.ndarray:
+        """(N,) [rad/s] below which the sign of a speed does not tell where a body goes, from the noise (N,)
+        of the speed."""
+        limits = self.settings
+        least = np.maximum(max(limits.least_rest_speed, 1e-6), limits.speed_deviations * noise)
+        return np.minimum(least, limits.rest_speed)
 
     def spectrum(
         self,
@@ -51,45 +44,68 @@ class DryFriction:
         net: np.ndarray,
         denoised_net: np.ndarray,
         inertia: float,
-        rest: float,
+        resolved: np.ndarray,
+        shared: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(F,) spectrum of the filtered friction torque, from its levels (2, N) backward and forward, and
-        series (N,): the body's filtered speed, and what else pulls at it, as measured and without noise;
-        below the `rest` speed it stands. And where it sticks (N,), bool.
+        series (N,): the body's filtered speed, what else pulls at it, as measured and without noise, and the
+        least speed that its noise leaves known. And where it sticks (N,), bool. What several joints share
+        stands already at a speed that it stops within the filter: how it creeps, no joint's torque tells.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
-        (1 - F) friction, is known from the friction and given back, a few rounds until they agree.
+        (1 - F) friction, is known from the friction and given back, a few rounds until they agree. Where that
+        changes the speed, it is known no better.
         """
-        window = self._window
-        if float(np.std(net - denoised_net)) > self.settings.noisy_friction * float(np.max(levels)):
+        window, limits = self._window, self.settings
+        if float(np.std(net - denoised_net)) > limits.noisy_friction * float(np.max(levels)):
             net = denoised_net
         backward, forward = levels
-        most_at_rest = self.settings.most_at_rest
-        least, most = -most_at_rest * backward, most_at_rest * forward
+        least, most = -limits.most_at_rest * backward, limits.most_at_rest * forward
         sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
-        filtered = _moving(speed, rest)
-        reach = 2 * int(np.ceil(self.settings.ringing * self._sigma / window.period)) + 1
+        stopped = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
+        changed: np.ndarray | float = stopped
+        reach, slope = self._within(limits.ringing), _per_change(speed)
         for further in reversed(range(FRICTION_ROUNDS)):
+            rest = np.minimum(np.maximum(changed, resolved), limits.rest_speed)
             # the filtered speed must say so, too: where a body stands for longer than the filter between two
             # motions, the iteration would become unstable
-            ahead, back = np.minimum(_moving(sharp_speed, rest), filtered)
+            shares = _moving(speed, rest, slope)
+            if sharp_speed is not speed:
+                np.minimum(shares, _moving(sharp_speed, rest, _per_change(sharp_speed)), out=shares)
+            ahead, back = shares
             moving = ahead + back
             near, far_net = maximum_filter1d(moving, reach), denoised_net + lost
-            sticking = np.clip(far_net + near * (sharp_net - far_net), least, most)
+            sticking = np.minimum(np.maximum(far_net + near * (sharp_net - far_net), least), most)
             friction = ahead * forward - back * backward + (1.0 - moving) * sticking
             spectrum = window.spectrum(friction)
             if further:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 sharp_net = net + lost
                 sharp_speed = speed - integral / inertia
+                if not shared:
+                    changed = maximum_filter1d(np.abs(integral), self._within(limits.rest_rings)) / inertia
         return -spectrum * window.gain, (moving < 0.5) & (least < sticking) & (sticking < most)
 
+    def _within(self, widths: float) -> int:
+        """Samples about one that are no more filter deviations away."""
+        return 2 * int(np.ceil(widths * self._sigma / self._window.period)) + 1
 
-def _moving(speed: np.ndarray, rest: float) -> np.ndarray:
+
+def _moving(speed: np.ndarray, rest: np.ndarray, per_change: np.ndarray) -> np.ndarray:
     """(2, N) share of the time about each sample in which a speed (N,), linear meanwhile, is above the `rest`
-    speed, forward and backward. A law that switched with the sample would jump with every number of a fit."""
+    speed (N,), forward and backward; `per_change` is the speed's. A law that switched with the sample would
+    jump with every number of a fit."""
+    shares = np.empty((2, speed.size))
+    np.subtract(speed, rest, out=shares[0])
+    np.subtract(-speed, rest, out=shares[1])
+    shares *= per_change
+    shares += 0.5
+    return np.minimum(np.maximum(shares, 0.0, out=shares), 1.0, out=shares)
+
+
+def _per_change(speed: np.ndarray) -> np.ndarray:
+    """(N,) one over what a speed (N,) changes from half a sample before to half a sample after."""
     change = np.empty_like(speed)
     change[1:-1] = 0.5 * np.abs(speed[2:] - speed[:-2])
     change[0], change[-1] = np.abs(speed[1] - speed[0]), np.abs(speed[-1] - speed[-2])
-    shares = np.array([speed - rest, -speed - rest]) / np.maximum(change, 1e-300) + 0.5
-    return np.minimum(np.maximum(shares, 0.0, out=shares), 1.0, out=shares)
+    return np.asarray(1.0 / np.maximum(change, 1e-300))

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import fft
 
 from flexjoint.diagnosis.balances.motion import Motion
-from flexjoint.diagnosis.signals.signals import wiener
+from flexjoint.diagnosis.signals.signals import Wiener, wiener
 from flexjoint.effects import Signals
 
 ROUNDING = 1e-4  # of a torque: as well as filters and interpolation keep it
@@ -123,6 +123,14 @@ class JointReadings:
         noise = {name: x - wiener(x, size[name]) for name, x in signals.items()}
         rates = {f"d{name}": smooth(x, 1) for name, x in noise.items()}
         return Signals(**noise, **rates)
+
+    @cached_property
+    def speed_errors(self) -> dict[str, np.ndarray]:
+        """(N,) [rad/s] what is left of the noise in dq and dtheta, by name, where a Wiener filter has taken
+        out what it can. An angle without a sensor is made of the other one."""
+        noise = max(float(self._readings.noise[name][self._joint]) for name in ("q", "theta"))
+        angles = {"dq": self.q, "dtheta": self.theta}
+        return {name: Wiener.of(x, noise).speed_error(self._window) for name, x in angles.items()}
 
     @cached_property
     def dq(self) -> np.ndarray:

@@ -48,6 +48,11 @@ class Laws:
         """Whether the same motion is known without its sensors' noise."""
         return False
 
+    @property
+    def is_twin(self) -> bool:
+        """Whether the motion is one without its sensors' noise."""
+        return False
+
     # ------------------------------------------------------------------ readings
     def base(self, i: int) -> JointReadings:
         if i not in self._bases:
@@ -101,9 +106,18 @@ class Laws:
         seen."""
         return [self.base(k).torque for k in range(len(self.motion.robot.joints))]
 
-    def noise(self, i: int) -> float:
-        """Noise of joint i's positions: an angle without a sensor is made of the other one."""
-        return max(float(self.motion.readings.noise[channel][i]) for channel in ("q", "theta"))
+    def speed(self, i: int, name: str, signals: Signals) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) the filtered speed `name` (dq, dtheta) of joint i among its signals, and the standard
+        deviation of its noise [rad/s]. A body moves, and not the noise of its sensor: as far as that is
+        known it is taken out."""
+        base, speed = self.base(i), np.asarray(getattr(signals, name))
+        if self.has_twin:
+            speed = speed - getattr(base.noise, name)
+        if self.has_twin or self.is_twin:
+            return speed, base.speed_errors[name]
+        # an angle without a sensor is made of the other one
+        noise = max(float(self.motion.readings.noise[channel][i]) for channel in ("q", "theta"))
+        return speed, np.full(speed.size, noise * self.friction.speed_noise)
 
     def floats(self, i: int) -> bool:
         """Whether the torque of joint i's spring is known up to a constant only: with unknown encoder offsets
@@ -191,27 +205,26 @@ class Laws:
         self,
         effects: Sequence[Planned],
         signals: Signals,
-        speed: np.ndarray,
+        speed: tuple[np.ndarray, np.ndarray],
         net: np.ndarray,
         denoised_net: np.ndarray,
         inertia: float,
-        noise: float,
+        shared: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Spectrum of the effects' dry friction, and where it holds (dry_friction.py)."""
-        limits = self.motion.readings.settings.balances
+        """Spectrum of the effects' dry friction, and where it holds (dry_friction.py). `speed` is that of
+        what rubs, with its noise (`speed`), which several joints may have `shared`."""
+        moved, noise = speed
+        resolved = self.friction.rest_speed(noise)
         states = [self.state(e, signals) for e in effects]
-        levels = self.levels(effects, signals, speed, limits.rest_speed, states)
-        rest = self.friction.rest_speed(levels, inertia, noise)
-        if rest < limits.rest_speed:
-            levels = self.levels(effects, signals, speed, rest, states)
-        return self.friction.spectrum(levels, speed, net, denoised_net, inertia, rest)
+        levels = self.levels(effects, signals, moved, resolved, states)
+        return self.friction.spectrum(levels, moved, net, denoised_net, inertia, resolved, shared)
 
     def levels(
         self,
         effects: Sequence[Planned],
         signals: Signals,
         speed: np.ndarray,
-        rest: float,
+        rest: np.ndarray | float,
         states: Sequence[np.ndarray | float],
     ) -> np.ndarray:
         """(2, N) levels of the effects' dry friction in their `states`, backward and forward: at rest the

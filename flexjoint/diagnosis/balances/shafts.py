@@ -99,8 +99,11 @@ class Shafts:
         tied = sorted(joints)
         n = np.array([shaft.turns.get(j, 0.0) for j in tied])
         inertia = 1.0 / float(n @ np.linalg.solve(along.inertias(tied, effects), n))
-        noise = float(np.sqrt(sum((x * along.noise(j)) ** 2 for j, x in shaft.turns.items())))
-        spectrum, _ = along.rubbing(dry, s, np.asarray(s.dtheta), pulled[0], pulled[1], inertia, noise)
+        each = [(x, *along.speed(j, "dtheta", of[j])) for j, x in shaft.turns.items()]
+        speed = np.asarray(sum(x * moved for x, moved, _ in each))
+        noise = np.sqrt(sum((x * error) ** 2 for x, _, error in each))
+        shared = bool(np.count_nonzero(n) > 1)
+        spectrum, _ = along.rubbing(dry, s, (speed, noise), pulled[0], pulled[1], inertia, shared)
         return spectrum
 
 

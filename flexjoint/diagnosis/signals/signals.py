@@ -243,24 +243,57 @@ def denoised(readings: Readings) -> Readings:
     return replace(readings, **clean)
 
 
+@dataclass(frozen=True)
+class Wiener:
+    """A time-local Wiener filter of one signal: each frequency is kept, at each time, to the share of its
+    power that is not the predicted white noise. A motion that is fast for a while only has little power in
+    the mean."""
+
+    count: int
+    noise: float  # standard deviation
+    transform: ShortTimeFFT
+    reach: int  # samples by which both ends are continued
+    spectra: np.ndarray  # (F, frames) of the continued signal about `line`
+    share: np.ndarray  # (F, frames) that is kept
+    line: np.ndarray  # (reach + count + reach,)
+
+    @staticmethod
+    def of(x: np.ndarray, noise: float) -> Wiener:
+        """The filter of a signal (N,) with white noise of standard deviation `noise`."""
+        segment = 2 * (min(x.size, WIENER_SEGMENT) // 2)
+        window = get_window("blackmanharris", segment)  # little of a slow motion leaks to where noise is
+        # both ends are continued by odd reflection, so that value and slope go on smoothly
+        reach = segment - 1
+        ahead, behind = 2.0 * x[0] - x[reach:0:-1], 2.0 * x[-1] - x[-2 : -reach - 2 : -1]
+        longer = np.concatenate([ahead, x, behind])
+        line = np.linspace(longer[0], longer[-1], longer.size)
+        transform = ShortTimeFFT(window, max(1, segment // WIENER_HOPS), 1.0)
+        spectra = transform.stft(longer - line)
+        mean = np.full(WIENER_BINS, 1.0 / WIENER_BINS)
+        power = convolve1d(np.abs(spectra) ** 2, mean, axis=0, mode="nearest")
+        floor = noise**2 * np.sum(window**2)
+        share = np.where(power > WIENER_SIGNAL * floor, 1.0 - floor / np.maximum(power, 1e-300), 0.0)
+        share[:2] = 1.0
+        return Wiener(x.size, noise, transform, reach, spectra, share, line)
+
+    def signal(self) -> np.ndarray:
+        """(N,) the signal without its noise."""
+        kept = self.transform.istft(self.spectra * self.share, k1=self.line.size)
+        return np.asarray((kept + self.line)[self.reach : self.reach + self.count])
+
+    def speed_error(self, window: Filter) -> np.ndarray:
+        """(N,) standard deviation of the error of the signal's filtered rate of change. A Wiener filter's
+        error has the noise's power times the share that is kept."""
+        omega = 2.0 * np.pi * self.transform.f / window.period
+        rate = omega * np.interp(omega, window.omega, window.gain)
+        variance = np.mean(self.share * (rate**2)[:, None], axis=0)
+        times = self.transform.t(self.line.size) - self.reach
+        return np.asarray(self.noise * np.sqrt(np.interp(np.arange(self.count), times, variance)))
+
+
 def wiener(x: np.ndarray, noise: float) -> np.ndarray:
-    """(N,) a signal with each frequency kept, at each time, to the share of its power that is not the
-    predicted white noise: a motion that is fast for a while only has little power in the mean."""
-    segment = 2 * (min(x.size, WIENER_SEGMENT) // 2)
-    window = get_window("blackmanharris", segment)  # little of a slow motion leaks to where there is noise
-    # both ends are continued by odd reflection, so that value and slope go on smoothly
-    reach = segment - 1
-    ahead, behind = 2.0 * x[0] - x[reach:0:-1], 2.0 * x[-1] - x[-2 : -reach - 2 : -1]
-    longer = np.concatenate([ahead, x, behind])
-    line = np.linspace(longer[0], longer[-1], longer.size)
-    transform = ShortTimeFFT(window, max(1, segment // WIENER_HOPS), 1.0)
-    spectra = transform.stft(longer - line)
-    power = convolve1d(np.abs(spectra) ** 2, np.full(WIENER_BINS, 1.0 / WIENER_BINS), axis=0, mode="nearest")
-    floor = noise**2 * np.sum(window**2)
-    share = np.where(power > WIENER_SIGNAL * floor, 1.0 - floor / np.maximum(power, 1e-300), 0.0)
-    share[:2] = 1.0
-    kept = transform.istft(spectra * share, k1=longer.size)
-    return np.asarray((kept + line)[reach : reach + x.size])
+    """(N,) a signal without its white noise of standard deviation `noise` (Wiener)."""
+    return Wiener.of(x, noise).signal()
 
 
 @dataclass(frozen=True)

@@ -263,8 +263,8 @@ def test_standard_errors_cover_the_truth() -> None:
     z = np.array([x for k, (_, planted) in enumerate(COVERED) for x in deviations(result(k)[0], planted)])
 
     assert len(z) == 11
-    # the simulation confirms a gain and a delay, which no filter harms
-    assert sum(result(k)[1].method == "output_error" for k in range(len(COVERED))) >= 5
+    # the simulation confirms numbers that no filter harms: a gap, frictions of a motor, a gain
+    assert sum(result(k)[1].method == "output_error" for k in range(len(COVERED))) >= 4
     # of normal samples of this size 3 % hold one beyond 3, 1 % more than two beyond 2, 1 % an RMS above 1.5
     assert np.max(np.abs(z)) < 3.0, z
     assert np.sum(np.abs(z) > 2.0) <= 2, z
@@ -274,6 +274,8 @@ def test_standard_errors_cover_the_truth() -> None:
 def test_errors_are_smaller_than_those_of_the_balances() -> None:
     shares = []
     for k, (_, planted) in enumerate(COVERED):
+        if result(k)[1].method != "output_error":
+            continue
         best = balanced(k)
         for name, true in planted.parameters.items():
             before = abs(float(best.effects[0].values[name]) - float(true))

@@ -1,0 +1,76 @@
+"""Dry friction on data: where a body slides and where it rests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import fft
+
+from flexjoint.diagnosis.balances.dry_friction import DryFriction
+from flexjoint.diagnosis.settings import USUAL
+from flexjoint.diagnosis.signals.signals import Filter, Wiener, make_filter
+
+RATE, SIGMA = 500.0, 0.008
+T = np.arange(6000) / RATE
+LEVEL = 3.0  # N m
+LIMITS = USUAL.balances
+
+
+def window() -> Filter:
+    return make_filter(T.size, 1.0 / RATE, SIGMA)
+
+
+def friction(speed: np.ndarray, net: np.ndarray, inertia: float, noise: float = 0.0) -> np.ndarray:
+    """(N,) filtered dry friction of a body, from its speed and what else pulls at it, before the filter."""
+    own = window()
+    law = DryFriction(own, SIGMA, LIMITS)
+    levels = np.full((2, T.size), LEVEL)
+    speed, net = own.smooth(speed), own.smooth(net)
+    resolved = law.rest_speed(np.full(T.size, noise))
+    spectrum, _ = law.spectrum(levels, speed, net, net, inertia, resolved)
+    return np.asarray(fft.irfft(spectrum, own.size)[: own.count])
+
+
+@pytest.mark.parametrize("inertia", [0.3, 30.0])
+def test_what_slides_slowly_has_its_level_whatever_the_balance_asks_for(inertia: float) -> None:
+    """A light body that its friction stops within the filter's width slides all the same. `net` is half of
+    what the friction would have to be: the model is wrong."""
+    way = np.sign(np.sin(2.0 * np.pi * T / 6.0 + 0.3))
+    speed = 4.0 * LIMITS.least_rest_speed * way
+
+    found = friction(speed, 0.5 * LEVEL * way, inertia)
+
+    far = np.convolve(np.abs(np.gradient(way)), np.ones(61), mode="same") == 0.0  # of every reversal
+    inside = far & (T > 0.5) & (T[-1] - 0.5 > T)
+    np.testing.assert_allclose(found[inside], -LEVEL * way[inside], rtol=1e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_what_rests_holds_what_pulls_at_it(noise: float) -> None:
+    """Below the speed that its noise leaves known, and below that at which joints creep."""
+    pulls = 0.8 * LEVEL * np.sin(2.0 * np.pi * 0.2 * T)
+    creeps = 0.9 * max(LIMITS.least_rest_speed, LIMITS.speed_deviations * noise) * np.cos(2.0 * np.pi * T)
+
+    found = friction(creeps, pulls, 30.0, noise)
+
+    inside = slice(300, -300)
+    np.testing.assert_allclose(found[inside], -window().smooth(pulls)[inside], atol=1e-3 * LEVEL)
+
+
+@pytest.mark.parametrize("frequency", [0.3, 3.0])
+def test_the_error_of_a_speed_without_its_noise_is_the_predicted_one(frequency: float) -> None:
+    """Of 20 draws of noise: within 6 % at rest and in motion."""
+    own, noise = window(), 2e-4
+    true = 0.4 * np.sin(2.0 * np.pi * frequency * T) * (T > 6.0)
+    true = np.convolve(true, np.hanning(101) / 50.0, mode="same")
+    speed = own.smooth(true, 1)
+    squares, predicted = np.zeros(T.size), np.zeros(T.size)
+    for draw in range(20):
+        filtered = Wiener.of(true + noise * np.random.default_rng(draw).standard_normal(T.size), noise)
+        squares += (own.smooth(filtered.signal(), 1) - speed) ** 2 / 20
+        predicted += filtered.speed_error(own) ** 2 / 20
+    for part in (slice(500, 2500), slice(3600, 5500)):
+        assert np.mean(squares[part]) == pytest.approx(np.mean(predicted[part]), rel=0.15)
+    # while it rests, far less than the filtered speed's noise
+    plain = noise * np.sqrt(np.mean((own.omega * own.gain) ** 2))
+    assert np.sqrt(np.mean(predicted[500:2500])) < 0.3 * plain
