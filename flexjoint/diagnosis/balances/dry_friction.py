@@ -8,6 +8,9 @@ loose.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import fft
 from scipy.ndimage import maximum_filter1d
@@ -16,6 +19,34 @@ from flexjoint.diagnosis.settings import BalanceSettings
 from flexjoint.diagnosis.signals.signals import Filter
 
 FRICTION_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Speed:
+    """The filtered speed of what rubs, (N,) each [rad/s]."""
+
+    clean: np.ndarray  # without its sensor's noise, as far as that is known
+    error: np.ndarray  # its standard deviation
+    taken: np.ndarray  # what was taken out as noise
+    noise: float  # standard deviation of the speed's noise, where some was taken out
+
+    @staticmethod
+    def combined(parts: Sequence[tuple[float, Speed]]) -> Speed:
+        """The weighted sum of speeds with independent noise."""
+        return Speed(
+            np.asarray(sum(x * s.clean for x, s in parts)),
+            np.sqrt(sum((x * s.error) ** 2 for x, s in parts)),
+            np.asarray(sum(x * s.taken for x, s in parts)),
+            float(np.sqrt(sum((x * s.noise) ** 2 for x, s in parts))),
+        )
+
+    def beside(self, kink: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """The speed (N,) and its error where friction makes a `kink` in it, of which a Wiener filter takes up
+        to all for noise: the mean of the speeds with and without noise that has the least square error."""
+        if self.noise == 0.0:
+            return self.clean, self.error
+        share = kink**2 / (kink**2 + self.noise**2)
+        return self.clean + share * self.taken, np.sqrt(self.error**2 + share * self.noise**2)
 
 
 class DryFriction:
@@ -40,17 +71,16 @@ class DryFriction:
     def spectrum(
         self,
         levels: np.ndarray,
-        speed: np.ndarray,
+        speed: Speed,
         net: np.ndarray,
         denoised_net: np.ndarray,
         inertia: float,
-        resolved: np.ndarray,
         shared: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(F,) spectrum of the filtered friction torque, from its levels (2, N) backward and forward, and
-        series (N,): the body's filtered speed, what else pulls at it, as measured and without noise, and the
-        least speed that its noise leaves known. And where it sticks (N,), bool. What several joints share
-        stands already at a speed that it stops within the filter: how it creeps, no joint's torque tells.
+        """(F,) spectrum of the filtered friction torque, from its levels (2, N) backward and forward, the
+        body's speed, and (N,) what else pulls at it, as measured and without noise. And where it sticks (N,),
+        bool. What several joints share stands already at a speed that it stops within the filter: how it
+        creeps, no joint's torque tells.
 
         The filter rounds the kinks that friction itself makes in speed and net torque; what it takes away,
         (1 - F) friction, is known from the friction and given back, a few rounds until they agree. Where that
@@ -61,29 +91,25 @@ class DryFriction:
             net = denoised_net
         backward, forward = levels
         least, most = -limits.most_at_rest * backward, limits.most_at_rest * forward
-        sharp_speed, sharp_net, lost = speed, net, np.zeros_like(net)
-        stopped = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
-        changed: np.ndarray | float = stopped
-        reach, slope = self._within(limits.ringing), _per_change(speed)
+        changed: np.ndarray | float = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
+        lost, given_back = np.zeros_like(net), np.zeros_like(net)
+        reach = self._within(limits.ringing)
         for further in reversed(range(FRICTION_ROUNDS)):
-            rest = np.minimum(np.maximum(changed, resolved), limits.rest_speed)
+            filtered, error = speed.beside(changed)
+            rest = np.minimum(np.maximum(changed, self.rest_speed(error)), limits.rest_speed)
             # the filtered speed must say so, too: where a body stands for longer than the filter between two
             # motions, the iteration would become unstable
-            shares = _moving(speed, rest, slope)
-            if sharp_speed is not speed:
-                np.minimum(shares, _moving(sharp_speed, rest, _per_change(sharp_speed)), out=shares)
-            ahead, back = shares
+            ahead, back = np.minimum(_moving(filtered, rest), _moving(filtered + given_back, rest))
             moving = ahead + back
             near, far_net = maximum_filter1d(moving, reach), denoised_net + lost
-            sticking = np.minimum(np.maximum(far_net + near * (sharp_net - far_net), least), most)
+            sticking = np.minimum(np.maximum(far_net + near * (net + lost - far_net), least), most)
             friction = ahead * forward - back * backward + (1.0 - moving) * sticking
             spectrum = window.spectrum(friction)
             if further:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
-                sharp_net = net + lost
-                sharp_speed = speed - integral / inertia
+                given_back = -integral / inertia
                 if not shared:
-                    changed = maximum_filter1d(np.abs(integral), self._within(limits.rest_rings)) / inertia
+                    changed = maximum_filter1d(np.abs(given_back), self._within(limits.rest_rings))
         return -spectrum * window.gain, (moving < 0.5) & (least < sticking) & (sticking < most)
 
     def _within(self, widths: float) -> int:
@@ -91,21 +117,16 @@ class DryFriction:
         return 2 * int(np.ceil(widths * self._sigma / self._window.period)) + 1
 
 
-def _moving(speed: np.ndarray, rest: np.ndarray, per_change: np.ndarray) -> np.ndarray:
+def _moving(speed: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """(2, N) share of the time about each sample in which a speed (N,), linear meanwhile, is above the `rest`
-    speed (N,), forward and backward; `per_change` is the speed's. A law that switched with the sample would
-    jump with every number of a fit."""
-    shares = np.empty((2, speed.size))
-    np.subtract(speed, rest, out=shares[0])
-    np.subtract(-speed, rest, out=shares[1])
-    shares *= per_change
-    shares += 0.5
-    return np.minimum(np.maximum(shares, 0.0, out=shares), 1.0, out=shares)
-
-
-def _per_change(speed: np.ndarray) -> np.ndarray:
-    """(N,) one over what a speed (N,) changes from half a sample before to half a sample after."""
+    speed (N,), forward and backward. A law that switched with the sample would jump with every number of a
+    fit."""
     change = np.empty_like(speed)
     change[1:-1] = 0.5 * np.abs(speed[2:] - speed[:-2])
     change[0], change[-1] = np.abs(speed[1] - speed[0]), np.abs(speed[-1] - speed[-2])
-    return np.asarray(1.0 / np.maximum(change, 1e-300))
+    shares = np.empty((2, speed.size))
+    np.subtract(speed, rest, out=shares[0])
+    np.subtract(-speed, rest, out=shares[1])
+    shares /= np.maximum(change, 1e-300)
+    shares += 0.5
+    return np.minimum(np.maximum(shares, 0.0, out=shares), 1.0, out=shares)

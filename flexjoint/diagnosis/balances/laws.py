@@ -13,7 +13,7 @@ import numpy as np
 from scipy import fft
 
 from flexjoint.core.running.lru_cache import LruCache
-from flexjoint.diagnosis.balances.dry_friction import DryFriction
+from flexjoint.diagnosis.balances.dry_friction import DryFriction, Speed
 from flexjoint.diagnosis.balances.joint_readings import JointReadings
 from flexjoint.diagnosis.balances.motion import Motion
 from flexjoint.diagnosis.balances.states import state_along
@@ -106,18 +106,18 @@ class Laws:
         seen."""
         return [self.base(k).torque for k in range(len(self.motion.robot.joints))]
 
-    def speed(self, i: int, name: str, signals: Signals) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) the filtered speed `name` (dq, dtheta) of joint i among its signals, and the standard
-        deviation of its noise [rad/s]. A body moves, and not the noise of its sensor: as far as that is
-        known it is taken out."""
+    def speed(self, i: int, name: str, signals: Signals) -> Speed:
+        """The filtered speed `name` (dq, dtheta) of joint i among its signals. A body moves, and not the
+        noise of its sensor: as far as that is known it is taken out."""
         base, speed = self.base(i), np.asarray(getattr(signals, name))
-        if self.has_twin:
-            speed = speed - getattr(base.noise, name)
-        if self.has_twin or self.is_twin:
-            return speed, base.speed_errors[name]
         # an angle without a sensor is made of the other one
         noise = max(float(self.motion.readings.noise[channel][i]) for channel in ("q", "theta"))
-        return speed, np.full(speed.size, noise * self.friction.speed_noise)
+        noise *= self.friction.speed_noise
+        if self.has_twin:
+            taken = getattr(base.noise, name)
+            return Speed(speed - taken, base.speed_errors[name], taken, noise)
+        error = base.speed_errors[name] if self.is_twin else np.full(speed.size, noise)
+        return Speed(speed, error, np.zeros(speed.size), 0.0)
 
     def floats(self, i: int) -> bool:
         """Whether the torque of joint i's spring is known up to a constant only: with unknown encoder offsets
@@ -205,19 +205,16 @@ class Laws:
         self,
         effects: Sequence[Planned],
         signals: Signals,
-        speed: tuple[np.ndarray, np.ndarray],
+        speed: Speed,
         net: np.ndarray,
         denoised_net: np.ndarray,
         inertia: float,
         shared: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Spectrum of the effects' dry friction, and where it holds (dry_friction.py). `speed` is that of
-        what rubs, with its noise (`speed`), which several joints may have `shared`."""
-        moved, noise = speed
-        resolved = self.friction.rest_speed(noise)
+        """Spectrum of the effects' dry friction, and where it holds (dry_friction.py)."""
         states = [self.state(e, signals) for e in effects]
-        levels = self.levels(effects, signals, moved, resolved, states)
-        return self.friction.spectrum(levels, moved, net, denoised_net, inertia, resolved, shared)
+        levels = self.levels(effects, signals, speed.clean, self.friction.rest_speed(speed.error), states)
+        return self.friction.spectrum(levels, speed, net, denoised_net, inertia, shared)
 
     def levels(
         self,

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from flexjoint.core.running.lru_cache import LruCache
+from flexjoint.diagnosis.balances.dry_friction import Speed
 from flexjoint.diagnosis.balances.laws import Laws
 from flexjoint.diagnosis.balances.ties import Turning
 from flexjoint.effects import Planned, Signals, Site
@@ -99,11 +100,9 @@ class Shafts:
         tied = sorted(joints)
         n = np.array([shaft.turns.get(j, 0.0) for j in tied])
         inertia = 1.0 / float(n @ np.linalg.solve(along.inertias(tied, effects), n))
-        each = [(x, *along.speed(j, "dtheta", of[j])) for j, x in shaft.turns.items()]
-        speed = np.asarray(sum(x * moved for x, moved, _ in each))
-        noise = np.sqrt(sum((x * error) ** 2 for x, _, error in each))
+        speed = Speed.combined([(x, along.speed(j, "dtheta", of[j])) for j, x in shaft.turns.items()])
         shared = bool(np.count_nonzero(n) > 1)
-        spectrum, _ = along.rubbing(dry, s, (speed, noise), pulled[0], pulled[1], inertia, shared)
+        spectrum, _ = along.rubbing(dry, s, speed, pulled[0], pulled[1], inertia, shared)
         return spectrum
 
 

@@ -59,11 +59,15 @@ def at_own_level(result: Fit, tried: Planned | None = None) -> Fit:
     for _ in range(LEVEL_ROUNDS):
         last = result.problem
         problem = last.at(last.plausible_level(result.y))
-        change = np.abs(np.log(problem.level.inflation / last.level.inflation))
         result = fit(problem, result.effects, held=[e for e in result.effects if _kept(e, held)])
-        if np.all(change < SAME_LEVEL):
+        if same_level(problem.level, last.level):
             break
     return result
+
+
+def same_level(one: NoiseLevel, other: NoiseLevel) -> bool:
+    """Whether the noise of all balances is nearly the same at two levels."""
+    return bool(np.all(np.abs(np.log(one.inflation / other.inflation)) < SAME_LEVEL))
 
 
 def _kept(effect: Planned, held: Sequence[Planned]) -> bool:

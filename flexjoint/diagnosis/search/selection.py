@@ -38,6 +38,7 @@ from flexjoint.diagnosis.search.trials import (
     on_all_joints,
     on_one_level,
     polish,
+    settled,
     sought_again,
 )
 from flexjoint.effects import Effect, Planned, Site, catalogue
@@ -271,7 +272,7 @@ def _best_at_own_level(best: Fit, found: Sequence[Fit]) -> Fit | None:
     waiting = list(found)
     while waiting:
         chosen = choose(waiting)
-        refitted = at_own_level(chosen)
+        refitted = settled(chosen)
         if not only_by_implausible(refitted, best):
             return refitted
         waiting = [f for f in waiting if f is not chosen]

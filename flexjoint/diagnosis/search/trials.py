@@ -20,6 +20,7 @@ from flexjoint.diagnosis.search.criteria import (
     degenerate,
     needs_implausible,
     only_by_implausible,
+    same_level,
     score,
     supported,
     torque_shares,
@@ -247,7 +248,7 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     """A set of one more effect than `best` at the noise level that it leaves, if the data support it there
     and if that level is clearly lower, or no nominal number is implausible any more."""
     best, trial = task
-    refitted = at_own_level(trial, trial.effects[-1])
+    refitted = settled(trial, trial.effects[-1])
     relieved = best.problem.level.implausibility > 1.0 and refitted.problem.level.implausibility <= 1.0
     # the part of the inflation that both sets need for implausible numbers has another cause than this one
     levels = refitted.problem.level.inflation / min(
@@ -377,6 +378,16 @@ def date_onset(result: Fit) -> Fit:
         return always
     granted = limits.undated * max(0.0, always.energy - result.energy)
     return always if score(always) < score(result) + granted else result
+
+
+def settled(result: Fit, tried: Planned | None = None) -> Fit:
+    """The set at the noise level that it leaves itself (`at_own_level`), its last effect dated there: an
+    onset is found no better than the noise level lets it."""
+    refitted = at_own_level(result, tried)
+    if refitted.effects[-1].since is None or same_level(refitted.problem.level, result.problem.level):
+        return refitted
+    dated = date_onset(refitted)
+    return refitted if dated is refitted else at_own_level(dated, tried)
 
 
 def _moved_onset(result: Fit, steps: Sequence[float]) -> float:

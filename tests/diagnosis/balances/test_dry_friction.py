@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from flexjoint.diagnosis.balances.dry_friction import DryFriction
+from flexjoint.diagnosis.balances.dry_friction import DryFriction, Speed
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.signals.signals import Filter, Wiener, make_filter
 
@@ -25,9 +25,9 @@ def friction(speed: np.ndarray, net: np.ndarray, inertia: float, noise: float = 
     own = window()
     law = DryFriction(own, SIGMA, LIMITS)
     levels = np.full((2, T.size), LEVEL)
-    speed, net = own.smooth(speed), own.smooth(net)
-    resolved = law.rest_speed(np.full(T.size, noise))
-    spectrum, _ = law.spectrum(levels, speed, net, net, inertia, resolved)
+    moved, net = own.smooth(speed), own.smooth(net)
+    known = Speed(moved, np.full(T.size, noise), np.zeros(T.size), 0.0)
+    spectrum, _ = law.spectrum(levels, known, net, net, inertia)
     return np.asarray(fft.irfft(spectrum, own.size)[: own.count])
 
 
@@ -74,3 +74,27 @@ def test_the_error_of_a_speed_without_its_noise_is_the_predicted_one(frequency: 
     # while it rests, far less than the filtered speed's noise
     plain = noise * np.sqrt(np.mean((own.omega * own.gain) ** 2))
     assert np.sqrt(np.mean(predicted[500:2500])) < 0.3 * plain
+
+
+def test_near_a_kink_the_measured_speed_counts_and_far_from_it_the_one_without_noise() -> None:
+    speed = Speed(np.ones(3), np.full(3, 0.01), np.full(3, 0.5), 0.1)
+
+    far, error_far = speed.beside(np.zeros(3))
+    near, error_near = speed.beside(np.full(3, 1e3))
+
+    np.testing.assert_allclose(far, 1.0)
+    np.testing.assert_allclose(error_far, 0.01)
+    np.testing.assert_allclose(near, 1.5)
+    np.testing.assert_allclose(error_near, np.hypot(0.01, 0.1))
+
+
+def test_of_speeds_with_and_without_noise_the_mean_has_the_least_square_error() -> None:
+    """A kink that is lost with the noise, and the noise, are independent errors."""
+    kink, noise = 0.3, 0.2
+    share = np.linspace(0.0, 1.0, 1001)
+    error = ((1.0 - share) * kink) ** 2 + (share * noise) ** 2
+
+    speed, spread = Speed(np.zeros(1), np.zeros(1), np.ones(1), noise).beside(kink)
+
+    assert speed[0] == pytest.approx(share[np.argmin(error)], abs=1e-3)
+    assert spread[0] == pytest.approx(np.sqrt(np.min(error)), rel=1e-3)
