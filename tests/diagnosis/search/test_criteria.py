@@ -28,7 +28,7 @@ from flexjoint.diagnosis.search.criteria import (
     supported,
 )
 from flexjoint.diagnosis.search.scan import Scanner
-from flexjoint.diagnosis.search.trials import date_onset, might_matter
+from flexjoint.diagnosis.search.trials import date_onset, might_matter, settled
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.verdict.checks.finer import finer
 from flexjoint.effects import Planned, effect
@@ -126,6 +126,20 @@ def test_an_onset_is_found_in_a_few_fits(monkeypatch: pytest.MonkeyPatch) -> Non
 
     assert dated.effects[0].since == pytest.approx(5.9, abs=0.05)
     assert count <= 1 + len(USUAL.search.onset_steps)
+
+
+def test_an_onset_found_at_a_high_noise_level_is_dated_again_at_the_level_that_its_set_leaves() -> None:
+    late = Planted("motor_coulomb_friction", "turn", {"level": 0.4}, since=5.9)
+    problem = Problem(
+        balances_of(
+            nominal("turret"), as_recording(Case("turret", "rich", 3, inexact=0.02).with_causes(late))
+        )
+    )
+    loud = problem.at(NoiseLevel(np.full(len(problem.balances.rows), 1e4), 1.0))
+    guess = fit(loud, [effect("motor_coulomb_friction", "turn", since=6.1, level=0.3)])
+
+    assert at_own_level(guess).effects[0].since == 6.1
+    assert settled(guess).effects[0].since == pytest.approx(5.9, abs=0.05)
 
 
 def test_a_jump_of_an_encoder_is_dated_before_it_is_compared() -> None:
