@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 
 import flexjoint as fj
+from flexjoint.cli.main import main
 from flexjoint.core.errors import RobotError, RobotWarning
 from flexjoint.robot.draft import draft
 
@@ -173,15 +174,84 @@ def test_init_writes_the_robot_file_of_an_sdf(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*its spring is not read")
-@pytest.mark.parametrize("name", ["kr300", "tx40"])
+@pytest.mark.parametrize("name", ["kr300", "tx40", "panda", "ur5", "rrbot"])
 def test_an_exported_sdf_comes_back(name: str, tmp_path: Path) -> None:
+    """Mass matrix, gravity and bias forces at random positions and velocities."""
     robot = fj.load_robot(name)
     fj.export_robot(robot, "sdf", tmp_path / "arm.sdf")
     back = fj.load_robot(tmp_path / "arm.sdf")
-    q = np.linspace(-1.0, 1.0, robot.model.nq)
-    one, other = (pin.crba(m, m.createData(), q) for m in (robot.model, back.model))
-    # the exporter's joint at the URDF's place, with as many digits
-    assert other == pytest.approx(one, abs=1e-12 * float(np.max(one)))
+    assert list(back.model.names) == list(robot.model.names)
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        q, v = rng.uniform(-2.0, 2.0, robot.model.nq), rng.uniform(-3.0, 3.0, robot.model.nv)
+        same_machine(robot.model, back.model, q, v, 1e-9)  # angles of a pose have 15 digits
+
+
+def same_machine(one: pin.Model, other: pin.Model, q: np.ndarray, v: np.ndarray, exact: float) -> None:
+    """Both have the same mass matrix, gravity torques and bias forces, to a share of the largest entry."""
+    (data, back) = (model.createData() for model in (one, other))
+    for compute in (
+        lambda model, data: pin.crba(model, data, q).copy(),
+        lambda model, data: pin.computeGeneralizedGravity(model, data, q).copy(),
+        lambda model, data: pin.nonLinearEffects(model, data, q, v).copy(),
+    ):
+        expected, got = compute(one, data), compute(other, back)
+        assert np.max(np.abs(got - expected)) <= exact * max(float(np.max(np.abs(expected))), 1.0)
+
+
+# --- every form of a pose, by hand ------------------------------------------------------------------------
+BODY = "<mass>{0}</mass><inertia><ixx>0.03</ixx><iyy>0.02</iyy><izz>0.04</izz><ixy>0.001</ixy></inertia>"
+HALF = math.pi / 2.0
+FORMS = f"""<sdf version="1.9"><model name="forms" canonical_link="base" placement_frame="foot">
+<pose degrees="true">0.1 0 0 90 0 0</pose>
+<frame name="foot" attached_to="__model__"><pose>0 0 0.2 0 0 0</pose></frame>
+<frame name="raised"><pose relative_to="foot">0 0 0.3 0 0 0</pose></frame>
+<frame name="bolt" attached_to="upper"><pose relative_to="raised">0 0 1 0 0 {HALF!r}</pose></frame>
+<link name="base"><inertial>{BODY.format(5)}</inertial></link>
+<link name="upper"><pose relative_to="shoulder"/>
+<inertial><pose>0.1 0 0.2 0.3 0 0</pose>{BODY.format(3)}</inertial></link>
+<link name="lower"><pose relative_to="bolt" rotation_format="quat_xyzw">0.5 0 0 0 0 0 1</pose>
+<inertial><pose relative_to="lower">0 0.1 0 0 0 0</pose>{BODY.format(2)}</inertial></link>
+<link name="tool"><pose relative_to="lower">0 0 0.4 0 0 0</pose><inertial>{BODY.format(1)}</inertial></link>
+<joint name="shoulder" type="revolute"><pose relative_to="raised">0 0 0 0 0 0</pose>
+<parent>base</parent><child>upper</child><axis><xyz expressed_in="__model__">0 1 0</xyz>
+<limit><lower>-1</lower><upper>2</upper><effort>30</effort><velocity>4</velocity></limit>
+<dynamics><damping>0.5</damping><friction>0.25</friction></dynamics></axis></joint>
+<joint name="elbow" type="continuous"><pose>-0.1 0 0 0 0 0</pose>
+<parent>bolt</parent><child>lower</child><axis><xyz expressed_in="bolt">1 0 0</xyz></axis></joint>
+<joint name="slide" type="prismatic"><parent>lower</parent><child>tool</child>
+<axis><xyz>0 0 1</xyz><limit><lower>0</lower><upper>0.3</upper></limit></axis></joint>
+</model></sdf>"""
+INERTIA = '<inertia ixx="0.03" iyy="0.02" izz="0.04" ixy="0.001" ixz="0" iyz="0"/>'
+# the model's frame is 0.2 m below the foot, which the pose puts at x = 0.1 with z along -y of the world
+SAME = f"""<robot name="forms"><link name="world"/>
+<link name="base"><inertial><mass value="5"/>{INERTIA}</inertial></link>
+<link name="upper"><inertial><origin xyz="0.1 0 0.2" rpy="0.3 0 0"/><mass value="3"/>{INERTIA}
+</inertial></link>
+<link name="lower"><inertial><origin xyz="0.1 0.1 0" rpy="0 0 0"/><mass value="2"/>{INERTIA}</inertial></link>
+<link name="tool"><inertial><mass value="1"/>{INERTIA}</inertial></link>
+<joint name="mount" type="fixed"><parent link="world"/><child link="base"/>
+<origin xyz="0.1 0.2 0" rpy="{HALF!r} 0 0"/></joint>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.5"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="2" effort="30" velocity="4"/>
+<dynamics damping="0.5" friction="0.25"/></joint>
+<joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/>
+<origin xyz="0 0.4 1" rpy="0 0 {HALF!r}"/><axis xyz="1 0 0"/></joint>
+<joint name="slide" type="prismatic"><parent link="lower"/><child link="tool"/><origin xyz="0.1 0 0.4"/>
+<axis xyz="0 0 1"/><limit lower="0" upper="0.3" effort="1e9" velocity="1e9"/></joint>
+</robot>"""
+
+
+def test_every_form_of_a_pose_as_in_the_urdf_by_hand(tmp_path: Path) -> None:
+    (tmp_path / "same.urdf").write_text(SAME)
+    urdf, robot = fj.load_robot(tmp_path / "same.urdf").model, load(FORMS, tmp_path).model
+    assert list(robot.names) == list(urdf.names)
+    for key in ("lowerPositionLimit", "upperPositionLimit", "effortLimit", "velocityLimit", "damping"):
+        assert np.asarray(getattr(robot, key)) == pytest.approx(np.asarray(getattr(urdf, key))), key
+    assert robot.friction == pytest.approx(urdf.friction)
+    rng = np.random.default_rng(11)
+    for _ in range(5):
+        same_machine(urdf, robot, rng.uniform(-2.0, 2.0, 3), rng.uniform(-3.0, 3.0, 3), EXACT)
 
 
 # --- small files ------------------------------------------------------------------------------------------
@@ -235,18 +305,22 @@ def test_an_axis_in_the_models_frame_as_old_files_have_it(tmp_path: Path) -> Non
     turned = ARM.replace("<pose>0 0 1 0 0 0</pose>", "<pose>0 0 1 1.5707963267948966 0 0</pose>")
     inner = turned.replace("</xyz>", "</xyz><use_parent_model_frame>1</use_parent_model_frame>")
     axes = []
-    for text in (sdf(turned, "1.6"), sdf(inner, "1.6")):
+    for text in (sdf(turned, "1.6"), sdf(inner, "1.6"), sdf(turned, "1.4")):  # 1.4 knows no other
         model = load(text, tmp_path).model
         data = model.createData()
         pin.computeJointJacobians(model, data, np.zeros(1))
         axes.append(np.ravel(pin.getJointJacobian(model, data, 1, pin.LOCAL_WORLD_ALIGNED))[3:])
     assert axes[0] == pytest.approx([0, -1, 0], abs=1e-12) and axes[1] == pytest.approx([0, 0, 1], abs=1e-12)
+    assert axes[2] == pytest.approx(axes[1], abs=1e-12)
 
 
 def test_what_is_left_aside_is_said(tmp_path: Path) -> None:
     spring = ARM.replace("</xyz>", "</xyz><dynamics><spring_stiffness>3</spring_stiffness></dynamics>")
     with pytest.warns(RobotWarning, match="joint j: its spring is not read; list a cable_spring"):
         load(sdf(spring), tmp_path)
+    floats = ARM.replace('<link name="b">', '<link name="b"><gravity>false</gravity>')
+    with pytest.warns(RobotWarning, match="link b has <gravity> switched off in SDF; it weighs here"):
+        load(sdf(floats), tmp_path)
     with pytest.warns(RobotWarning, match="link a states no mass or no inertia: SDF takes 1 kg"):
         load(sdf('<link name="a"/>' + ARM.removeprefix(LINK.format("a", ""))), tmp_path)
 
@@ -282,6 +356,8 @@ def test_what_is_left_aside_is_said(tmp_path: Path) -> None:
         (sdf(ARM.replace("<pose>", '<pose relative_to="c">')), "unknown frame 'c'"),
         (sdf(ARM.replace("<pose>", '<pose relative_to="b">')), "are relative to each other"),
         (sdf(ARM + LINK.format("a", "")), "the name a stands twice; rename one"),
+        (sdf(ARM, model=' canonical_link="c"'), "canonical_link: unknown link 'c'; valid: a, b"),
+        (sdf(ARM, model=' placement_frame="c"'), "unknown frame 'c'"),
         (sdf(ARM.replace("<inertial>", '<inertial auto="true">')), "computed of its shapes"),
         (
             sdf(ARM.replace("<pose>0 0 1 0 0 0<", '<pose rotation_format="quat_xyzw">0 0 1 0 0 0 3<')),
@@ -293,3 +369,14 @@ def test_what_is_no_plain_model_is_refused_in_one_line(text: str, said: str, tmp
     with pytest.raises(RobotError, match=said) as error:
         load(text, tmp_path)
     assert "\n" not in str(error.value) and len(str(error.value)) < 400 and "SDF" in str(error.value)
+
+
+def test_the_command_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "m.sdf", tmp_path / "m.yaml"
+    path.write_text(sdf(ARM))
+    assert main(["init", str(path), "--out", str(out)]) == 0
+    assert fj.load_robot(out).joint_names == ("j",)
+    capsys.readouterr()
+    path.write_text(sdf(ARM + "<include><uri>x</uri></include>"))
+    assert main(["init", str(path), "--out", str(out), "--force"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

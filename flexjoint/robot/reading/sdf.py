@@ -33,6 +33,7 @@ ENDLESS = 1e9  # rad, N m, rad/s: a limit beyond it is none; SDF's own is 1e16, 
 HERE = 1e-12  # m and rad, by which a joint's frame may miss its link's to be the same
 UNIT = {"ixx": 1.0, "iyy": 1.0, "izz": 1.0}  # SDF's defaults: a body of 1 kg and 1 kg m^2
 OLD = (1, 6)  # the last version of SDF with use_parent_model_frame, whose frames have no names
+OLDEST = (1, 4)  # the last version of which every axis is in the model's frame
 
 
 def as_urdf(root: Element, where: str, floating: bool) -> tuple[Element, list[str]]:
@@ -77,7 +78,7 @@ class _Reader:
         for tag, what in NO_PLAIN_MODEL.items():
             if model.find(tag) is not None:
                 raise RobotError(f"{where}: holds {what}")
-        if (model.findtext("static") or "").strip() in ("true", "1"):
+        if _yes(model.findtext("static")):
             raise RobotError(f"{where}: the model is static: nothing moves; delete <static>")
         self.links = [(xml_file.name_of(e, "link", where), e) for e in model.findall("link")]
         self.joints = [(xml_file.name_of(e, "joint", where), e) for e in model.findall("joint")]
@@ -86,6 +87,10 @@ class _Reader:
         counts = {tag: len(model.findall(tag[:-1])) for tag in ("links", "joints", "frames")}
         xml_file.check_count(counts, where)
         self.frames = self._frames()
+        self.canonical = model.get("canonical_link") or self.links[0][0]  # that the model's frame is fixed to
+        if self.canonical not in dict(self.links):
+            names = [name for name, _ in self.links]
+            raise RobotError(f"{where}: canonical_link: {unknown('link', shown(self.canonical), names)}")
         self.placed: dict[str, pin.SE3] = {MODEL: pin.SE3.Identity()}
 
     # --- poses and frames -----------------------------------------------------------------------------------
@@ -136,7 +141,7 @@ class _Reader:
             rotation = pin.Quaternion(np.array(turned) / size).toRotationMatrix()
         else:
             x, y, z, *angles = xml_file.numbers(pose.text or "", (6,), place)
-            if (pose.get("degrees") or "false").strip() in ("true", "1"):
+            if _yes(pose.get("degrees")):
                 angles = [math.radians(angle) for angle in angles]
             rotation = pin.rpy.rpyToMatrix(*angles)
         return pin.SE3(rotation, np.array([x, y, z])), pose.get("relative_to") or None
@@ -167,12 +172,14 @@ class _Reader:
         """The link that a frame is fixed to."""
         seen = [name]
         while True:
+            if name == MODEL:
+                return self.canonical
             frame = self._frame(name)
             if frame.link == name:
                 return name
             if frame.link is None:  # a joint's frame, which is fixed to its child
                 joint = dict(self.joints).get(name)
-                attached = self.links[0][0] if joint is None else self._end(joint, name, "child")
+                attached = self.canonical if joint is None else self._end(joint, name, "child")
             else:
                 attached = frame.link
             if attached in seen:
@@ -190,6 +197,8 @@ class _Reader:
             raise RobotError(
                 f"{self.where}: the model's pose is relative to {shown(to)}; give it in the world"
             )
+        if placed := self.model.get("placement_frame"):  # the frame that the model's pose places
+            base = base * self.place(placed).inverse()
         moved = list(self._moved())
         carrying = {child: self.place(name) for name, _, _, child in moved}
         for name, link in self.links:
@@ -254,7 +263,7 @@ class _Reader:
         given: Mapping[str, float] = {}
         pose, mass = pin.SE3.Identity(), 1.0
         if inertial is not None:
-            if (inertial.get("auto") or "").strip() in ("true", "1"):
+            if _yes(inertial.get("auto")):
                 raise RobotError(
                     f"{inside}: its inertial is computed of its shapes (auto); write mass and inertia"
                 )
@@ -273,6 +282,8 @@ class _Reader:
                     for m in MOMENTS
                     if inertia.find(m) is not None
                 }
+        if (link.findtext("gravity") or "true").strip().lower() in ("false", "0"):
+            self.said.append(f"{inside} has <gravity> switched off in SDF; it weighs here, as on the machine")
         if inertial is None or inertial.find("mass") is None or not given:
             self.said.append(
                 f"{inside} states no mass or no inertia: SDF takes 1 kg and 1 kg m^2 where one is missing"
@@ -309,7 +320,8 @@ class _Reader:
         text = "0 0 1" if xyz is None or not (xyz.text or "").strip() else str(xyz.text)
         along = np.array(xml_file.numbers(text, (3,), f"{inside}: axis"))
         frame = None if xyz is None else xyz.get("expressed_in") or None
-        if self.version <= OLD and (axis.findtext("use_parent_model_frame") or "").strip() in ("true", "1"):
+        stated = axis.findtext("use_parent_model_frame")
+        if self.version <= OLD and (_yes(stated) or (stated is None and self.version <= OLDEST)):
             frame = MODEL
         if frame is not None:
             along = self.place(name).rotation.T @ self.place(frame).rotation @ along
@@ -337,6 +349,11 @@ class _Reader:
         mimic = axis.find("mimic")
         if mimic is not None:
             SubElement(element, "mimic", joint=mimic.get("joint", ""))
+
+
+def _yes(text: str | None) -> bool:
+    """Whether a word of SDF says so."""
+    return (text or "").strip().lower() in ("true", "1")
 
 
 def _near(place: pin.SE3) -> bool:

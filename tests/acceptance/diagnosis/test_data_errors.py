@@ -203,6 +203,17 @@ def test_a_zero_that_is_far_off(joint: str, degrees: float) -> None:
     assert f"the zero of the positions of {joint} is off by" in finding.text
 
 
+@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("degrees", [90.0, 180.0])
+def test_the_zero_of_an_elbow_that_moves_little(seed: int, degrees: float) -> None:
+    """A spring with an offset would explain the elbow's torque, a load the elbow's alone: neither explains
+    the shoulder's and the wrist's with it."""
+    whole = log(seed=seed, size=0.35)
+    columns = {**whole.columns, ("q", ELBOW): whole.get("q", ELBOW) + math.radians(degrees)}
+    assert not check_data(ur5(), whole).findings
+    only(check_data(ur5(), replace(whole, columns=columns)), "zero", ELBOW)
+
+
 def test_a_motor_encoder_whose_zero_lies_beside_the_links() -> None:
     def change(columns: Columns) -> None:
         with_motor_side(columns)

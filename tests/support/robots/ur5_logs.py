@@ -39,19 +39,21 @@ def log(
     channel: str = "tau_motor",
     mass: float = 0.0,
     place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    size: float = 1.0,
 ) -> Recording:
     """10 s of a smooth motion of all joints. `friction`: of Coulomb and, at 1 rad/s, viscous kind, as a share
-    of the joint's torque. `mass` [kg] hangs at a place of the last link [m]."""
+    of the joint's torque. `mass` [kg] hangs at a place of the last link [m]. `size` scales
+    the motion."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(SECONDS * RATE)) / RATE
     q, v, a = (np.zeros((time.size, len(NAMES))) for _ in range(3))
     q += CENTRE + rng.uniform(-0.3, 0.3, len(NAMES))
     for j in range(len(NAMES)):
         for w in 2.0 * np.pi * rng.uniform(0.08, 0.6, 5):
-            size, phase = rng.uniform(0.05, 0.25), rng.uniform(0.0, 2.0 * np.pi)
-            q[:, j] += size * np.sin(w * time + phase)
-            v[:, j] += size * w * np.cos(w * time + phase)
-            a[:, j] -= size * w**2 * np.sin(w * time + phase)
+            swing, phase = size * rng.uniform(0.05, 0.25), rng.uniform(0.0, 2.0 * np.pi)
+            q[:, j] += swing * np.sin(w * time + phase)
+            v[:, j] += swing * w * np.cos(w * time + phase)
+            a[:, j] -= swing * w**2 * np.sin(w * time + phase)
     tau = _dynamics(mass, place)(q, v, a) + ROTOR * a
     scale = np.maximum(np.sqrt(np.mean(tau**2, axis=0)), 0.5)
     tau += friction * scale * (np.tanh(v / 0.01) + v) + rng.normal(0.0, TORQUE_NOISE * scale, tau.shape)

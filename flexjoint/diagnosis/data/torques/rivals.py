@@ -1,10 +1,16 @@
-"""Real causes that may stand behind a torque that does not follow: data are blamed only where they cannot.
+"""Real causes that may stand behind torques that do not follow: data are blamed only where none can.
 
-A row may have an offset, a spring to any angle and a gain of up to three; and the robot may carry a load, a
+A joint may have an offset, a spring to any angle and a gain of up to three; and the robot may carry a load, a
 point mass of up to its own mass, on any link within its reach; or a link lacks what its file says it has.
+
+A repair is one statement about all torques that it sets right, so a real cause has to be one, too: a spring
+at one joint, or one load, which explains each of them nearly as well. Torques that were not far off may have
+a small spring or offset of their own beside it.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -17,17 +23,24 @@ STARTS = (0.1, 0.5)  # of the largest load; a lighter link is found from the fir
 LEAST_REACH = 0.3  # m
 
 
-def explained_otherwise(balance: Balance, view: View, place: int, left: float) -> bool:
-    """Whether a real cause explains a row of the data nearly as well as a change does, which leaves a share
-    of its variance."""
+def explained_otherwise(balance: Balance, view: View, without: np.ndarray, final: np.ndarray) -> bool:
+    """Whether one real cause explains nearly as well what changes set right: of misfits (rows,) `without`
+    them, in the `view`, the `final` ones."""
     limits = balance.settings
-    row = balance.row(balance.rows[place], view)
-    if row is None:
-        return False
-    enough = limits.times_rival**2 * max(left, 1e-6)
-    if balance.misfit(row, limits_of(limits.rival_gains), spring=True) <= enough:
+    enough = limits.times_rival**2 * np.maximum(final, 1e-6)
+    better = without > enough
+    cleared = (without >= limits.wrong**2) & (without >= limits.times_smaller**2 * final)
+    rows = [balance.row(key, view) for key in balance.rows]
+    gains = limits_of(limits.rival_gains)
+    sprung = np.array([np.inf if row is None else balance.misfit(row, gains, spring=True) for row in rows])
+    bent = sprung <= enough
+    if np.count_nonzero(cleared) == 1 and np.all(bent[better]):
         return True
-    return any(misfit <= enough for misfit in _loaded(balance, view, place))
+    for misfits in _loaded(balance, view, rows, cleared):
+        laden = misfits <= enough
+        if np.all(laden[cleared]) and np.all((laden | bent)[better]):
+            return True
+    return False
 
 
 def reach(robot: Robot) -> float:
@@ -38,28 +51,32 @@ def reach(robot: Robot) -> float:
     return sum(steps) + max(centres, default=0.0)
 
 
-def _loaded(balance: Balance, view: View, place: int) -> list[float]:
-    """Misfit of a row with the best load on each link that it carries."""
-    model = balance.data.robot.model
-    rows = [row for key in balance.rows if (row := balance.row(key, view)) is not None]
-    at = [k for k, row in enumerate(rows) if row.key == balance.rows[place]]
-    if not at or any(joint not in balance.data.robot.joint_names for joint in balance.data.joints):
-        return []
+def _loaded(
+    balance: Balance, view: View, all_rows: Sequence[Row | None], cleared: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Misfits (rows,) with the best load on each link that acts on a cleared row; inf of a row whose source
+    was not recorded."""
+    robot = balance.data.robot
+    there = [k for k, row in enumerate(all_rows) if row is not None]
+    rows = [row for row in all_rows if row is not None]
+    if not np.any(cleared[there]) or any(joint not in robot.joint_names for joint in balance.data.joints):
+        return
+    model = robot.model
     regressor = balance.body.regressor_batch(*balance.motion(view))
     heaviest = balance.settings.payload_mass * sum(inertia.mass for inertia in list(model.inertias)[1:])
-    farthest = max(reach(balance.data.robot), LEAST_REACH)
-    out = []
-    for joint in balance.data.robot.joints:
+    farthest = max(reach(robot), LEAST_REACH)
+    for joint in robot.joints:
         carried = regressor[:, :, 10 * (joint.pin_id - 1) : 10 * joint.pin_id]  # (M, nv, 10)
-        added = [carried[:, balance.data.robot.joint(row.key[1]).idx_v] for row in rows]
-        if np.max(np.abs(added[at[0]])) == 0.0:
+        added = [carried[:, robot.joint(row.key[1]).idx_v] for row in rows]
+        if not any(np.any(a) for a, shows in zip(added, cleared[there], strict=True) if shows):
             continue
         own = float(model.inertias[joint.pin_id].mass)
         load = _best_load(rows, added, (-own, heaviest), farthest)
-        row = rows[at[0]]
-        laden = Row(row.key, row.recorded, row.taken + added[at[0]] @ load, row.motion)
-        out.append(balance.misfit(laden))
-    return out
+        misfits = np.full(len(all_rows), np.inf)
+        for k, row, columns in zip(there, rows, added, strict=True):
+            laden = Row(row.key, row.recorded, row.taken + columns @ load, row.motion)
+            misfits[k] = balance.misfit(laden)
+        yield misfits
 
 
 def _best_load(

@@ -2,7 +2,7 @@
 
 The change that leaves least is taken, then the next beside it; what is not needed in the end is dropped.
 An error is reported when a joint's torque is far from what its motion takes, is near it once the error is
-undone, and is not as near with a load or a spring at work instead (rivals.py).
+undone, and one load or one spring at work instead does not set as much right (rivals.py).
 """
 
 from __future__ import annotations
@@ -77,12 +77,14 @@ def found_errors(balance: Balance) -> tuple[Found, ...]:
     changed = np.abs(given - final) > CHANGED
     if np.any(final[changed] > limits.right**2) or np.any(final > np.maximum(2.0 * given, limits.right**2)):
         return ()
+    if len(changes) > 1 and explained_otherwise(balance, View(), given, final):
+        return ()  # one real cause rather than several errors
     found = []
     for k, change in enumerate(changes):
         others = View.of(changes[:k] + changes[k + 1 :])
         without = balance.misfits(others)
         place = _shows(without, final, limits.wrong)
-        if place is None or explained_otherwise(balance, others, place, float(final[place])):
+        if place is None or explained_otherwise(balance, others, without, final):
             return ()
         factor = float(np.sqrt(without[place] / max(final[place], 1e-12)))
         joint = balance.rows[place][1]
