@@ -88,9 +88,13 @@ def import_log(
         mapping = mappings.parse(mapping)
     report = progress or silent
     report(0.0, "reading")
-    log = open_log(source, mapping.episode, part(report, 0.0, READING))
-    report(READING, "converting")
-    imported = converted(log, mapping, robot)
+
+    def opened() -> Log:
+        log = open_log(source, mapping.episode, part(report, 0.0, READING))
+        report(READING, "converting")
+        return log
+
+    imported = converted(opened(), mapping, robot)  # no name keeps the log: it leaves memory on the way
     report(1.0, "")
     return imported
 

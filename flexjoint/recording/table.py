@@ -52,6 +52,7 @@ MOST_COLUMNS = RECORDING.columns
 MOST_CELLS = RECORDING.cells
 MOST_BYTES = RECORDING.csv_bytes
 LONGEST_HEADER = RECORDING.header_bytes
+ROWS_AT_ONCE = 1_048_576  # that are written: pyarrow's own size of a row group of Parquet
 
 
 @dataclass(frozen=True)
@@ -316,12 +317,18 @@ def write_pieces(pieces: Iterable[Recording], path: str | os.PathLike[str]) -> N
     with whole_file(out) as file, contextlib.ExitStack() as stack:
         writer = None
         for piece in pieces:
-            data = {"time": piece.time}
-            data.update({f"{channel}.{joint}": values for (channel, joint), values in piece.columns.items()})
-            table = pa.table({name: pa.array(values, from_pandas=True) for name, values in data.items()})
-            if writer is None:
-                writer = stack.enter_context(WRITERS[out.suffix](file, table.schema))
-            writer.write_table(table)
+            for begin in range(0, piece.time.size, ROWS_AT_ONCE):
+                table = _table(piece, slice(begin, begin + ROWS_AT_ONCE))
+                if writer is None:
+                    writer = stack.enter_context(WRITERS[out.suffix](file, table.schema))
+                writer.write_table(table)
+
+
+def _table(recording: Recording, rows: slice) -> pa.Table:
+    """Some rows of a recording."""
+    data = {"time": recording.time}
+    data.update({f"{channel}.{joint}": values for (channel, joint), values in recording.columns.items()})
+    return pa.table({name: pa.array(values[rows], from_pandas=True) for name, values in data.items()})
 
 
 WRITERS: Mapping[str, Callable[[IO[bytes], pa.Schema], Any]] = MappingProxyType(

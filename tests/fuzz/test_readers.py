@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
+import scipy.io
 import yaml
 from fuzz.hostile import fuzz, mutated, only_refusals
 from hypothesis import given
@@ -23,6 +24,8 @@ from flexjoint.core.errors import RobotWarning
 from flexjoint.diagnosis.followup import experiment
 from flexjoint.recording import table as recording
 from flexjoint.recording.clock import on_regular_clock
+from flexjoint.recording.importing import import_log
+from flexjoint.recording.logs import mapping
 from flexjoint.robot import payload, robot
 from flexjoint.robot.robot import Robot
 
@@ -110,6 +113,33 @@ def test_a_recording(folder: Path, suffix: str, data: st.DataObject) -> None:
         )
 
 
+def log(suffix: str) -> bytes:
+    """A log of another program, in a format of `flexjoint import`."""
+    if suffix == "txt":
+        return CSV.replace(b",", b" ")
+    sink = io.BytesIO()
+    if suffix == "npz":
+        np.savez(sink, time=TABLE["time"], q=TABLE["q.elbow"])
+    elif suffix == "mat":
+        scipy.io.savemat(sink, {"time": TABLE["time"], "log": {"q": TABLE["q.elbow"]}})
+    else:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(sink, "w") as file:
+            file.update({"time": TABLE["time"], "q": TABLE["q.elbow"]})
+    return sink.getvalue()
+
+
+@pytest.mark.parametrize("suffix", ["txt", "npz", "mat", "h5"])
+@fuzz(40)
+@given(data=st.data())
+def test_a_log(folder: Path, suffix: str, data: st.DataObject) -> None:
+    path = folder / f"log.{suffix}"
+    path.write_bytes(data.draw(mutated(log(suffix))))
+    with only_refusals():
+        read = import_log(path, mapping.parse({"joints": ["elbow"]})).recording
+        assert np.all(np.diff(read.time) > 0.0)
+
+
 @fuzz(60)
 @given(data=mutated(POSES))
 def test_a_table_of_poses(folder: Path, arm: Robot, data: bytes) -> None:
@@ -169,6 +199,9 @@ def test_what_was_changed_was_good(folder: Path, arm: Robot) -> None:
     for name, data in (("good.csv", CSV), ("good.parquet", parquet())):
         (folder / name).write_bytes(data)
         assert recording.read(folder / name).joints == ("elbow",)
+    for suffix in ("txt", "npz", "mat", "h5"):
+        (folder / f"good.{suffix}").write_bytes(log(suffix))
+        assert import_log(folder / f"good.{suffix}", {"joints": ["elbow"]}).recording.joints == ("elbow",)
     (folder / "good.json").write_bytes(DIAGNOSIS)
     (folder / "poses.csv").write_bytes(POSES)
     assert theta_d.read_poses(folder / "poses.csv", arm).q.shape == (3, 2)

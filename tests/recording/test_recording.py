@@ -268,3 +268,27 @@ def test_a_recording_prints_what_it_holds_and_not_its_samples() -> None:
 
     assert str(one) == "log: 1.99 s at 100 Hz, 200 samples\njoints: elbow, elbow\\x1b[31m\nchannels: q, theta"
     assert len(str(many)) < 600
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_large_recording_is_written_in_parts_as_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    values = np.where(np.arange(200) < 90, np.nan, np.sin(np.arange(200.0)))  # the first part has no number
+    made = recording.make(np.arange(200) / 250.0, {("q", "elbow"): values})
+    made.write(tmp_path / f"at_once{suffix}")
+    monkeypatch.setattr(recording, "ROWS_AT_ONCE", 80)
+    made.write(tmp_path / f"in_parts{suffix}")
+    whole, parts = (recording.read(tmp_path / f"{name}{suffix}") for name in ("at_once", "in_parts"))
+    np.testing.assert_array_equal(parts.time, whole.time)
+    np.testing.assert_array_equal(parts.get("q", "elbow"), whole.get("q", "elbow"))
+
+
+def test_parts_are_the_groups_of_rows_that_parquet_makes_by_itself(tmp_path: Path) -> None:
+    """So that a file has the same bytes whether it is written in parts or at once."""
+    count = recording.ROWS_AT_ONCE + 10
+    time, q = np.arange(count) / 1000.0, np.zeros(count)
+    recording.make(time, {("q", "elbow"): q}).write(tmp_path / "in_parts.parquet")
+    table = pa.table({"time": time, "q.elbow": q})
+    pa.parquet.write_table(table, tmp_path / "at_once.parquet", compression="zstd")
+    assert (tmp_path / "in_parts.parquet").read_bytes() == (tmp_path / "at_once.parquet").read_bytes()

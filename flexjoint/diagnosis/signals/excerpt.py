@@ -19,7 +19,7 @@ from flexjoint.recording.clock import without_pauses
 from flexjoint.recording.table import Recording, was_measured
 from flexjoint.robot.robot import Robot
 
-LARGEST = 360_000  # samples times joints: two gigabytes (390 000 took 2.01) and a few minutes ...
+LARGEST = 360_000  # samples times joints: 2.3 gigabytes with two workers, and some minutes ...
 MANY = 7  # ... for so many joints; of more, the tolerances of each on the samples of all count
 ENOUGH = 500.0  # Hz, at which the filter is as narrow as it ever is
 WHOLE = 0.9  # of a channel's share of samples: below it every k-th row misses a channel of a rate of its own

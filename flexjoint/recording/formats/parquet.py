@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.recording.formats.text import log_of, numbers_of
+from flexjoint.recording.formats.text import columns_of, log_of
 from flexjoint.recording.logs.log import Log, unreadable
 from flexjoint.recording.table import check_size
 
@@ -21,10 +21,15 @@ def read(path: Path) -> Log:
     try:
         with pa.parquet.ParquetFile(path) as file:
             check_size(file.metadata.num_rows, file.metadata.num_columns, path)
-            table = file.read()
-        columns = {name: numbers_of(table.column(k)) for k, name in enumerate(table.column_names)}
+            columns = columns_of(file.schema_arrow.names, lambda name: _column(file, name))
     except FlexJointError:
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
         raise unreadable(str(path), KIND, error) from None
     return log_of(path, KIND, columns)
+
+
+def _column(file: pa.parquet.ParquetFile, name: str) -> pa.ChunkedArray:
+    """The column of that name, the last of several; those whose names go on with a dot are read with it."""
+    table = file.read([name])
+    return table.column(max(k for k, other in enumerate(table.column_names) if other == name))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +24,11 @@ DELIMITERS = (";", "\t", ",", " ")
 MOST_COMMENTS = 1000  # lines before the names
 INDEXED = re.compile(r"(?P<stem>.*?[A-Za-z\])])[_.\- ]?[\[(]?(?P<index>\d{1,3})[\])]?$")
 NULLS = ["", "NaN", "nan", "NA", "null", "None", "-nan"]
+PART = 32_000_000  # bytes of a text that are read at once: a large one is never in memory as text
+LOOSER = (  # kinds that parts of one column may have, and last the one that holds all of them
+    (pa.int64(), pa.float64()),
+    (pa.date32(), pa.timestamp("s"), pa.timestamp("ns")),
+)
 
 
 def read(path: Path) -> Log:
@@ -42,9 +46,11 @@ def read(path: Path) -> Log:
 
 
 def log_of(path: Path, kind: str, table: dict[str, np.ndarray | None]) -> Log:
-    """The log of a table's columns, None for those that hold words; known programs' tables by their names."""
+    """The log of a table's columns, None for those that hold words; known programs' tables by their names.
+
+    The table is emptied, so that no more than one signal is in memory twice."""
     words = [name for name, column in table.items() if column is None]
-    columns = {name: column for name, column in table.items() if column is not None}
+    columns = {name: column for name in list(table) if (column := table.pop(name)) is not None}
     if not columns:
         raise refusal(path, "holds no column of numbers, as expected of a log")
     notes = (f"not numbers, and not used: {named(words)}",) if words else ()
@@ -72,7 +78,7 @@ def grouped(columns: dict[str, np.ndarray]) -> dict[str, Signal]:
     """Columns as signals.
 
     `q_0, q_1, ...` and `q[0], q[1], ...` make the signal `q`, `<channel>.<joint>` with a channel of a
-    recording the signal `<channel>`; any other column is a signal by itself.
+    recording the signal `<channel>`; any other column is a signal by itself. The dictionary is emptied.
     """
     stems: dict[str, list[tuple[int, str]]] = {}
     channels: dict[str, list[str]] = {}
@@ -93,14 +99,14 @@ def grouped(columns: dict[str, np.ndarray]) -> dict[str, Signal]:
     for channel, own_names in channels.items():
         if channel not in columns:
             taken.update(dict.fromkeys(own_names, channel))
-    for name in columns:
+    for name in list(columns):
         signal = taken.get(name)
         if signal is None:
-            signals[name] = Signal(columns[name][:, np.newaxis], (name,))
+            signals[name] = Signal(columns.pop(name)[:, np.newaxis], (name,))
         elif signal not in signals:
             own = channels.get(signal) or [n for _, n in sorted(stems[signal])]
             joints = tuple(n.partition(".")[2] for n in own) if signal in channels else ()
-            signals[signal] = Signal(np.stack([columns[n] for n in own], axis=1), tuple(own), joints)
+            signals[signal] = Signal(np.stack([columns.pop(n) for n in own], axis=1), tuple(own), joints)
     return signals
 
 
@@ -187,20 +193,69 @@ def _numbers(
 ) -> dict[str, np.ndarray | None]:
     """(N,) floats or whole numbers by name, None of columns that hold words."""
     check_size(0, len(names), path)
-    content: Path | io.BytesIO = path
-    if delimiter == " ":  # several blanks count as one, which the reader of CSV does not know
-        text = path.read_text(encoding="utf-8-sig").splitlines()[skip:]
-        rows = [" ".join(line.split()) for line in text if not _empty(line)]
-        content, skip = io.BytesIO("\n".join(rows).encode()), 0
-    table = pa.csv.read_csv(
-        content,
-        read_options=pa.csv.ReadOptions(column_names=names, skip_rows=skip),
-        parse_options=pa.csv.ParseOptions(delimiter=delimiter),
-        convert_options=pa.csv.ConvertOptions(
-            null_values=NULLS, strings_can_be_null=True, decimal_point="," if comma else "."
-        ),
+    chunks: dict[str, list[pa.Array]] = {name: [] for name in names}
+    for part in _parts(path):
+        content = part
+        if delimiter == " ":  # several blanks count as one, which the reader of CSV does not know
+            content, skip = _with_single_blanks(part, skip), 0
+        if content and not content.isspace():
+            table = pa.csv.read_csv(
+                pa.BufferReader(content),
+                read_options=pa.csv.ReadOptions(column_names=names, skip_rows=skip),
+                parse_options=pa.csv.ParseOptions(delimiter=delimiter),
+                convert_options=pa.csv.ConvertOptions(
+                    null_values=NULLS, strings_can_be_null=True, decimal_point="," if comma else "."
+                ),
+            )
+            for name in names:
+                chunks[name] += [_without_words(chunk) for chunk in table.column(name).chunks]
+        skip = 0
+    return columns_of(names, lambda name: _one_kind(chunks.pop(name)))
+
+
+def _parts(path: Path) -> Iterator[bytes]:
+    """The text of a file, in parts that end with a line."""
+    with path.open("rb") as file:
+        while content := file.read(PART):
+            yield content + file.readline()
+
+
+def _with_single_blanks(content: bytes, skip: int) -> bytes:
+    """Lines without the first ones, empty ones and comments, one blank between two fields."""
+    lines = content.decode("utf-8-sig").splitlines()[skip:]
+    return "\n".join(" ".join(line.split()) for line in lines if not _empty(line)).encode()
+
+
+def _without_words(chunk: pa.Array) -> pa.Array:
+    """The chunk; of words one that holds as many empty ones, since no word is used."""
+    kind = chunk.type
+    return (
+        pa.nulls(len(chunk), pa.string()) if pa.types.is_string(kind) or pa.types.is_binary(kind) else chunk
     )
-    return {name: numbers_of(table.column(name)) for name in names}
+
+
+def _one_kind(chunks: list[pa.Array]) -> pa.ChunkedArray:
+    """Chunks of one column as one, of the kind that the whole column has."""
+    kinds = {chunk.type for chunk in chunks if not pa.types.is_null(chunk.type)} or {pa.null()}
+    if len(kinds) == 1:
+        kind = kinds.pop()
+    else:
+        kind = next((of[-1] for of in LOOSER if kinds <= set(of)), pa.string())
+    if pa.types.is_string(kind):
+        return pa.chunked_array([pa.nulls(len(chunk), kind) for chunk in chunks], kind)
+    return pa.chunked_array([chunk.cast(kind, safe=False) for chunk in chunks], kind)
+
+
+def columns_of(
+    names: Sequence[str], column: Callable[[str], pa.ChunkedArray]
+) -> dict[str, np.ndarray | None]:
+    """Numbers by name (`numbers_of`) of columns that are asked for one after the other, so that no more than
+    one is in memory twice."""
+    out = {}
+    for name in names:
+        out[name] = numbers_of(column(name))
+        pa.default_memory_pool().release_unused()
+    return out
 
 
 def numbers_of(column: pa.ChunkedArray) -> np.ndarray | None:

@@ -6,7 +6,7 @@ printed, and where the evidence leaves a doubt it is asked for: the message name
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -91,11 +91,13 @@ def converted(log: Log, mapping: MappingFile = EMPTY, robot: Robot | None = None
     """
     sources = [_named(log, mapping, robot, source) for source in _sources(log, mapping, robot)]
     _refuse_twice(log, sources)
-    sources = [_in_unit(log, mapping, robot, source) for source in sources]
-    sources = _velocities_in_unit(log, mapping, robot, sources)
+    stamps = [_stamps(log, mapping, source) for source in sources]
+    log = _outline(log)
+    _one_by_one(sources, lambda source: _in_unit(log, mapping, robot, source))
+    _one_by_one(sources, lambda source: _velocity_in_unit(log, robot, source, sources))
     sources = _at_the_link(log, mapping, robot, sources)
-    sources = [_signed(log, source) for source in sources]
-    time, clock, aligned, notes = _one_clock(log, mapping, sources)
+    _one_by_one(sources, lambda source: _signed(log, source))
+    time, clock, aligned, notes = _one_clock(log, mapping, sources, stamps)
     columns = {
         (source.channel, joint): values[:, k]
         for source, values in zip(sources, aligned, strict=True)
@@ -104,6 +106,21 @@ def converted(log: Log, mapping: MappingFile = EMPTY, robot: Robot | None = None
     recording = make(time, columns, log.source)
     check_columns(robot, recording)
     return Imported(recording, tuple(_account(log, mapping, sources, recording, clock, notes)))
+
+
+def _outline(log: Log) -> Log:
+    """The log without its samples, which the sources hold by then: a large log is in memory once."""
+    signals = {
+        name: replace(signal, values=np.empty((0, signal.values.shape[1])))
+        for name, signal in log.signals.items()
+    }
+    return replace(log, signals=signals)
+
+
+def _one_by_one(sources: list[_Source], step: Callable[[_Source], _Source]) -> None:
+    """Each source replaced by what a step makes of it, so that no more than one is in memory twice."""
+    for k, source in enumerate(sources):
+        sources[k] = step(source)
 
 
 # --- which signal is which channel --------------------------------------------------------------------------
@@ -224,7 +241,10 @@ def _named(log: Log, mapping: MappingFile, robot: Robot | None, source: _Source)
         )
     if len(set(names)) != len(names):
         raise refusal(log.source, f"{shown(source.name)}: a joint is named twice: {named(names)}")
-    return replace(source, joints=tuple(names), naming=why, values=np.asarray(values, dtype=float))
+    signal = replace(source.signal, values=np.empty((0, count)))
+    return replace(
+        source, signal=signal, joints=tuple(names), naming=why, values=np.asarray(values, dtype=float)
+    )
 
 
 def _by_order(log: Log, mapping: MappingFile, robot: Robot | None, count: int) -> tuple[tuple[str, ...], str]:
@@ -276,19 +296,10 @@ def _in_unit(log: Log, mapping: MappingFile, robot: Robot | None, source: _Sourc
     return source
 
 
-def _velocities_in_unit(
-    log: Log, mapping: MappingFile, robot: Robot | None, sources: Sequence[_Source]
-) -> list[_Source]:
-    """Velocities whose unit nobody states have that of the positions beside them."""
-    return [
-        _velocity_in_unit(log, robot, source, sources)
-        if source.dimension == "velocity" and not source.unit
-        else source
-        for source in sources
-    ]
-
-
 def _velocity_in_unit(log: Log, robot: Robot | None, source: _Source, sources: Sequence[_Source]) -> _Source:
+    """A velocity whose unit nobody states has that of the positions beside it."""
+    if source.dimension != "velocity" or source.unit:
+        return source
     beside = [o for o in sources if o.dimension == "angle" and set(o.joints) & set(source.joints)]
     found = {units.OF_ANGLE.get(other.unit, "rad/s") for other in beside}
     if len(found) > 1:
@@ -324,14 +335,18 @@ def _scaled(source: _Source, robot: Robot | None, unit: str, why: str) -> _Sourc
             1.0  # of joints that slide: m as they are
         )
     said = f"{unit}: {why}"
-    return replace(source.done(source.values * factor, said), unit=unit)
+    values = source.values if np.all(factor == 1.0) else source.values * factor
+    return replace(source.done(values, said), unit=unit)
 
 
 def _reach(source: _Source, robot: Robot | None) -> float:
     """The largest angle of any joint that turns."""
-    turning = [robot is None or joint not in robot.prismatic for joint in source.joints]
-    values = np.abs(source.values[:, turning])
-    return float(np.max(values, initial=0.0, where=np.isfinite(values)))
+    columns = (
+        np.abs(values)
+        for joint, values in zip(source.joints, source.values.T, strict=True)
+        if robot is None or joint not in robot.prismatic
+    )
+    return max((float(np.max(c, initial=0.0, where=np.isfinite(c))) for c in columns), default=0.0)
 
 
 def _asked_unit(log: Log, source: _Source, reach: float) -> RecordingError:
@@ -555,10 +570,10 @@ def _numbers(values: np.ndarray) -> str:
 
 # --- clocks -------------------------------------------------------------------------------------------------
 def _one_clock(
-    log: Log, mapping: MappingFile, sources: Sequence[_Source]
+    log: Log, mapping: MappingFile, sources: Sequence[_Source], clocks: Sequence[tuple[np.ndarray, str]]
 ) -> tuple[np.ndarray, str, list[np.ndarray], list[str]]:
     """Stamps (N,), what they are, the values (N, k) of each source on them, and notes."""
-    stamps, clock = zip(*(_stamps(log, mapping, source) for source in sources), strict=True)
+    stamps, clock = zip(*clocks, strict=True)
     unit = mapping.time_unit or log.time_unit
     first = max(
         range(len(sources)), key=lambda i: (sources[i].channel in ("q", "theta"), sources[i].values.shape[0])

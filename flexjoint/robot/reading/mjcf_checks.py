@@ -107,11 +107,7 @@ def _check_classes(root: Element, where: str) -> None:
         for key in ("class", "childclass"):
             name = element.get(key)
             if name is not None and name not in defined and element.tag != "default":
-                how = (
-                    "name the first one main, or leave it out"
-                    if name == "main"
-                    else "define it, or leave it out"
-                )
+                how = "name the first one main" if name == "main" else "define it"
                 raise RobotError(
                     f"{where}: <{shown(element.tag)}> has {key} '{shown(name)}', which no <default> defines;"
                     f" {how}, or leave it out"

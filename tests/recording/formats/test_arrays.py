@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import pickle
 import tempfile
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,20 @@ def test_an_npz_with_the_names_of_channels_needs_no_mapping(tmp_path: Path) -> N
     assert_is(got.recording, "dq", M.dq)
     assert_is(got.recording, "tau_motor", M.tau)  # (2, N) is turned
     assert "not over time, and not used: gains" in plain(got.account)
+
+
+def test_a_log_is_in_memory_twice_at_most(tmp_path: Path) -> None:
+    """Once as read and once as converted; a third copy was held by the steps between."""
+    path, rows = tmp_path / "log.npz", 100_000
+    time = np.arange(rows) / 1000.0
+    arrays = {name: np.sin(time[:, np.newaxis] + np.arange(5.0)) for name in ("q", "theta", "q_ref", "tau_m")}
+    np.savez(path, time=time, **arrays)
+    keys = mapping.parse({"joints": list("abcde"), "angles": "deg"})
+    tracemalloc.start()
+    import_log(path, keys)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2.0 * sum(array.nbytes for array in arrays.values())
 
 
 def test_an_npz_with_pickles_is_refused_and_nothing_of_it_runs(tmp_path: Path) -> None:

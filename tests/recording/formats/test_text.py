@@ -7,6 +7,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,7 +17,7 @@ from support.logs import JOINTS, assert_is, motion, write_csv
 from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.core.text import plain
 from flexjoint.recording import table
-from flexjoint.recording.formats import ur_rtde
+from flexjoint.recording.formats import text, ur_rtde
 from flexjoint.recording.importing import import_log, open_log, read
 from flexjoint.recording.logs import mapping
 
@@ -215,3 +217,60 @@ def test_whatever_a_table_holds_it_is_a_recording_or_refused(
         else:
             assert np.all(np.diff(got.time) > 0.0)
             assert not any(np.any(np.isinf(values)) for values in got.columns.values())
+
+
+# --- in parts -----------------------------------------------------------------------------------------------
+KINDS = {  # of cells, by what they are in the first rows, in most and in the last ones
+    "whole_then_not": ("1", "2.5", "3"),
+    "never_whole": ("1.5", "2.25", "1e3"),
+    "whole": ("1", "2", "9007199254740993"),
+    "whole_beyond": ("1", "2", "99999999999999999999"),
+    "empty_first": ("", "1.5", "2"),
+    "empty_always": ("", "nan", ""),
+    "whole_with_empty": ("1", "", "3"),
+    "word_late": ("1", "2", "running"),
+    "word_first": ("idle", "2", "3"),
+    "date": ("2026-11-24", "2026-11-24 10:00:00", "2026-11-24 10:00:00.25"),
+    "date_then_number": ("2026-11-24", "5", "6"),
+    "truth": ("1", "true", "0"),
+}
+
+
+@pytest.mark.parametrize("delimiter", [",", " "])
+def test_a_text_that_is_read_in_parts_is_the_one_that_is_read_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, delimiter: str
+) -> None:
+    filled = {k: v for k, v in KINDS.items() if delimiter == "," or ("" not in v and "date" not in k)}
+    places = [0] * 20 + [1] * 60 + [2] * 10
+    rows = [delimiter.join(cells[k] for cells in filled.values()) for k in places]
+    rows.insert(60, "")
+    path = tmp_path / "log.txt"
+    path.write_text("\n".join([delimiter.join(filled), *rows]), encoding="utf-8-sig")
+    at_once = open_log(path)
+    monkeypatch.setattr(text, "PART", 300)
+    in_parts = open_log(path)
+    assert (in_parts.notes, list(in_parts.signals)) == (at_once.notes, list(at_once.signals))
+    for name, signal in at_once.signals.items():
+        got = in_parts.signals[name].values
+        assert got.dtype == signal.values.dtype, name
+        assert got.tobytes() == signal.values.tobytes(), name
+
+
+def test_a_part_is_no_more_than_was_asked_for_and_the_rest_of_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"0123456789\n" * 100)
+    monkeypatch.setattr(text, "PART", 50)
+    parts = list(text._parts(path))
+    assert b"".join(parts) == path.read_bytes()
+    assert all(part.endswith(b"\n") and len(part) <= 61 for part in parts)
+
+
+def test_a_column_of_parquet_is_that_of_its_name_alone(tmp_path: Path) -> None:
+    columns = [pa.array(M.time), pa.array(M.q[:, 0]), pa.array(M.q[:, 1]), pa.array([1.0] * M.time.size)]
+    path = tmp_path / "log.parquet"
+    pa.parquet.write_table(pa.table(columns, ["time", "a", "a.b", "a.b"]), path)
+    log = open_log(path)
+    assert np.array_equal(log.signals["a"].values[:, 0], M.q[:, 0])
+    assert np.all(log.signals["a.b"].values == 1.0)  # of two with one name the last
