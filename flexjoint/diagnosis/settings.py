@@ -245,8 +245,8 @@ class BalanceSettings(Stage):
         "filter deviations",
         "around which the speed is known no better than the filter has changed it, by the kinks of the"
         " friction itself; as many times the change that a filter's width makes, to begin with",
-        "study: 48 dry frictions of drawn machines, left unexplained half as often as where that speed holds"
-        " for all of a recording",
+        "study: dry frictions of 18 drawn machines leave 1.24 times the noise (geometric mean), 1.49 times"
+        " where one such speed holds for all of a recording",
     )
     speed_deviations: float = number(
         4.0,
