@@ -15,7 +15,7 @@ from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, Balances
 from flexjoint.diagnosis.regression.whitening import Band, Whitening
 from flexjoint.diagnosis.signals.jumps import Unknown, jumps, unknown_shapes
 from flexjoint.diagnosis.signals.signals import Readings
-from flexjoint.effects import Drive, Effect, Parameter, Planned, Site, effect
+from flexjoint.effects import Drive, Effect, Parameter, Planned, Site, catalogue, effect
 from flexjoint.robot.robot import Robot
 from flexjoint.robot.schema import COM_AT_ORIGIN
 
@@ -50,9 +50,11 @@ class NominalNumber(Parameter):
 
     @property
     def becomes_effect(self) -> bool:
-        """Whether `as_effects` makes an effect of its deviation."""
-        numbers = (*NUMBERS, "inertial")
-        return self.name in numbers or self.of != "" or self.name.endswith("_encoder_offset")
+        """Whether `as_effects` makes an effect of its deviation. Ordinary friction that the model claims stays
+        as it is claimed where what is left is counted: where it is off, that is said (verdict/joints)."""
+        if self.of:
+            return not catalogue()[self.name].ordinary
+        return self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")
 
     @property
     def of_the_robot(self) -> bool:
@@ -103,6 +105,8 @@ def as_effects(
     directions: dict[str, Iterator[np.ndarray]] = {}  # of a joint, those still to come
     for number, deviation in zip(nuisance, deviations, strict=True):
         key = number.name, number.joint
+        if not number.becomes_effect:
+            continue
         if number.of and deviation:
             (param,) = (p for p in claimed[key].effect.params if p.name == number.of)
             value = claimed[key].values[param.name] * (1.0 + max(-0.9, float(deviation) * number.std))

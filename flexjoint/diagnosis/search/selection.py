@@ -118,6 +118,9 @@ def _select(problem: Problem, search: Search, report: Progress, start: Sequence[
         before, (best, rivals) = best, exchange(search, best, places)
         trace += _exchanged(before, best)
         compared = {e.key: _neighbours(best, e) for e in best.effects}
+        if _keys(best) not in seen | {_keys(before)}:  # beside what was exchanged another cause may be seen
+            seen.add(_keys(best))
+            continue
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.pool)
         if pairs and len(best.effects) < most_effects(problem):
             pair = prune(choose(pairs), search.pool)
