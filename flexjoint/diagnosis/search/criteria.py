@@ -77,14 +77,18 @@ def _kept(effect: Planned, held: Sequence[Planned]) -> bool:
 def degenerate(problem: Problem, planned: Planned) -> bool:
     """Whether the fitted numbers of an effect mean nothing: its size is zero; a shape parameter is at its
     bound or below what the sensors resolve, so that a simpler law does the same; its size is at the upper
-    bound; it is a load with which what the joint carries weighs less than nothing; or its torque is far above
-    both the torques of its joint and the torque that it shows in any balance (a peak of friction below the
-    speeds that the data resolve)."""
+    bound; it is a friction in one direction and none in the other (an offset larger than friction looks so);
+    it is a load with which what the joint carries weighs less than nothing; or its torque is far above both
+    the torques of its joint and the torque that it shows in any balance (a peak of friction below the speeds
+    that the data resolve)."""
     limits = problem.settings.search
     sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
     if all(np.all(np.ravel(size) == p.null) for size, p in sizes):
         return True
     if any(np.any(np.isclose(size, p.high, rtol=limits.at_bound, atol=0.0)) for size, p in sizes):
+        return True
+    one_way = any(size == p.low for size, p in sizes if p.name in planned.effect.alike)
+    if one_way and planned.effect.overrides("level"):
         return True
     if _weightless(problem, planned):
         return True

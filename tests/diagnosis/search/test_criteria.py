@@ -214,6 +214,15 @@ def test_a_law_finer_than_the_sensors_see_is_a_simpler_one() -> None:
         assert degenerate(problem, law) is simpler
 
 
+def test_a_friction_in_one_direction_only_is_an_offset() -> None:
+    """Beside an offset larger than itself a friction pushes one way at both speeds: no friction of two levels,
+    each at least none, does that."""
+    problem = fitted(Case("turret", "rich", 3), assumed=()).problem
+    for least, one_way in ((0.0, True), (0.1, False)):
+        law = effect("asymmetric_friction", "turn", level_positive=least, level_negative=0.5)
+        assert degenerate(problem, law) is one_way
+
+
 def test_a_shape_that_may_be_anything_is_not_named() -> None:
     """A friction that fades within a minute, or in a day, as far as the data tell: it is constant."""
     constant = effect("friction_drift", "turn", level=0.4, time_constant=5e4)

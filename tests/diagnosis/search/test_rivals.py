@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from planting import Planted, plant, robot_file
@@ -10,8 +11,9 @@ from support.diagnose_cases import QUIET, Case, as_recording, nominal
 
 from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.regression.fit import fit
+from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.search import selection
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.scan import Scanner
@@ -37,6 +39,27 @@ def test_the_truth_is_tried_in_the_place_of_a_law_that_does_the_same() -> None:
 
     names = {f.effects[-1].effect.name for f in rivals[0]} | {found.effects[0].effect.name}
     assert "motor_coulomb_friction" in names
+
+
+def test_beside_what_took_a_place_further_causes_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An offset stands for a cable until the cable takes its place; a ripple is seen only then."""
+    cable = Planted("cable_spring", "turn", {"stiffness": 2.0, "rest": 0.3})
+    ripple = Planted("cogging", "turn", {"amplitude": 0.05, "cycles": 20.0, "phase": 0.5})
+    recorded = as_recording(Case("turret", "rich", 3, inexact=0.02).with_causes(cable, ripple))
+    problem = Problem(balances_of(nominal("turret"), recorded))
+    grown, offset = selection._grown, effect("torque_offset", "turn", offset=0.1)
+    rounds = []
+
+    def first_wrong(best: Fit, *others: Any) -> Fit:
+        rounds.append(len(rounds))
+        return grown(best, *others) if len(rounds) > 1 else at_own_level(fit(problem, [offset]))
+
+    monkeypatch.setattr(selection, "_grown", first_wrong)
+    found = selection.select(problem, enumerate_candidates(problem), lambda _share, _what: None).best
+
+    assert {e.effect.name for e in found.effects} == {"cable_spring", "cogging"}
+    (cycles,) = (e.values["cycles"] for e in found.effects if e.effect.name == "cogging")
+    assert cycles == pytest.approx(20.0, rel=0.01)
 
 
 @pytest.mark.parametrize("share", [0.5, 1.5])
