@@ -50,8 +50,8 @@ class NominalNumber(Parameter):
 
     @property
     def becomes_effect(self) -> bool:
-        """Whether `as_effects` makes an effect of its deviation. Ordinary friction that the model claims stays
-        as it is claimed where what is left is counted: where it is off, that is said (verdict/joints)."""
+        """Whether `as_effects` makes an effect of its deviation. Ordinary friction that the model claims
+        stays as it is claimed where what is left is counted: a wrong one is named (verdict/joints)."""
         if self.of:
             return not catalogue()[self.name].ordinary
         return self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")

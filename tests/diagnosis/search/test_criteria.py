@@ -215,8 +215,8 @@ def test_a_law_finer_than_the_sensors_see_is_a_simpler_one() -> None:
 
 
 def test_a_friction_in_one_direction_only_is_an_offset() -> None:
-    """Beside an offset larger than itself a friction pushes one way at both speeds: no friction of two levels,
-    each at least none, does that."""
+    """Beside an offset larger than itself a friction pushes one way at both speeds: no friction of two
+    levels, each at least none, does that."""
     problem = fitted(Case("turret", "rich", 3), assumed=()).problem
     for least, one_way in ((0.0, True), (0.1, False)):
         law = effect("asymmetric_friction", "turn", level_positive=least, level_negative=0.5)
