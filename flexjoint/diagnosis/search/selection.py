@@ -423,11 +423,19 @@ def united(result: Fit) -> Fit:
 def prune(result: Fit, pool: WorkerPool, standing: Mapping[Key, frozenset[Key]] | None = None) -> Fit:
     """Drop, one by one, the effects that the data do not support beside the others. A special case of an
     effect's law takes its place where the data support that. Effects that were supported beside the same
-    neighbours (`standing`, or a round before) are not asked again."""
+    neighbours (`standing`, or a round before) are not asked again. A set that leaves more than one without an
+    effect has ended in a local minimum, and is fitted again from there."""
     result, known = united(result), dict(standing or {})
+    again = True  # once: what is left after it is no matter of where a fit started
     while len(result.effects) > 1:
         asked = [e for e in result.effects if known.get(e.key) != _neighbours(result, e)]
         without = pool.map(_without_unsupported, [(result, e) for e in asked])
+        lower = [f for f in without if f is not None and f.energy < result.energy]
+        freed = pool.map(_with_missing_effect, [(result, f) for f in lower]) if again else []
+        best = min(freed, key=lambda f: f.energy, default=result)
+        if best.energy < result.energy:
+            result, again, known = at_own_level(best), False, {}
+            continue
         known |= {e.key: _neighbours(result, e) for e, f in zip(asked, without, strict=True) if f is None}
         smaller = [f for f in without if f is not None]
         if not smaller:
@@ -444,6 +452,13 @@ def _without_unsupported(task: tuple[Fit, Planned]) -> Fit | None:
     if supported(result, without, dropped):
         return None
     return evaluated(min([without, *_simpler(result, without, dropped)], key=score))
+
+
+def _with_missing_effect(task: tuple[Fit, Fit]) -> Fit:
+    """A set fitted again from the numbers of one that lacks some of its effects."""
+    result, without = task
+    have = _keys(without)
+    return fit(result.problem, [*without.effects, *(e for e in result.effects if e.key not in have)])
 
 
 def _simpler(result: Fit, without: Fit, effect: Planned) -> list[Fit]:

@@ -62,6 +62,24 @@ def test_beside_what_took_a_place_further_causes_are_looked_for(monkeypatch: pyt
     assert cycles == pytest.approx(20.0, rel=0.01)
 
 
+def test_a_set_in_a_local_minimum_is_fitted_again_before_a_cause_is_dropped() -> None:
+    """A smaller set can leave no less than a larger one that is fitted well."""
+    cable = Planted("cable_spring", "turn", {"stiffness": 2.0, "rest": 0.3})
+    rubs = Planted("motor_coulomb_friction", "turn", {"level": 0.5})
+    recorded = as_recording(Case("turret", "rich", 3, inexact=0.02).with_causes(cable, rubs))
+    problem = Problem(balances_of(nominal("turret"), recorded))
+    wrong = [
+        effect("motor_coulomb_friction", "turn", level=2.0),
+        effect("cable_spring", "turn", stiffness=2.0, rest=0.3),
+    ]
+    with worker_pool([], 1) as pool:
+        found = selection.prune(fit(problem, wrong, held=wrong), pool)
+
+    numbers = {e.effect.name: e.values for e in found.effects}
+    assert numbers["motor_coulomb_friction"]["level"] == pytest.approx(0.5, rel=0.05)
+    assert numbers["cable_spring"]["stiffness"] == pytest.approx(2.0, rel=0.05)
+
+
 @pytest.mark.parametrize("share", [0.5, 1.5])
 def test_a_rival_is_asked_for_no_more_than_the_cause_shows(share: float) -> None:
     case = Case("lever", "rich", 5)
