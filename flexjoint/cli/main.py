@@ -32,8 +32,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code, 0 unless the command has another (`--help` and wrong usage exit
     by themselves)."""
     with streams.plain():
-        arguments = _parser().parse_args(argv)
         try:
+            arguments = _parser().parse_args(argv)
             code = arguments.run(arguments)
             sys.stdout.flush()
         except FlexJointError as error:
@@ -69,7 +69,11 @@ def _say(message: object, code: int) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
+    """An argument parser whose complaint is one line, and which raises OSError where its help cannot be
+    written: argparse's own keeps silent."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        print(message, end="", file=file, flush=True)
 
     def error(self, message: str) -> NoReturn:
         raise SystemExit(_say(f"{message} (see {self.prog} --help)", UNUSABLE))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import sys
 import threading
@@ -28,10 +29,17 @@ def say_interrupted() -> None:
         say("interrupted")
 
 
+class _Sayer(logging.Handler):
+    """What the package logs, said as warnings are."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        say(f"warning: {record.getMessage()}")
+
+
 @contextlib.contextmanager
 def plain() -> Iterator[None]:
-    """Streams that take every character, and are there even where they were closed; warnings as one line on
-    standard error, without the place in the code."""
+    """Streams that take every character, and are there even where they were closed; warnings, logged ones
+    included, as one line on standard error, without the place in the code."""
     with contextlib.suppress(RuntimeError):  # it was not held
         _ended.release()
     with contextlib.ExitStack() as stack:
@@ -45,6 +53,9 @@ def plain() -> Iterator[None]:
                 stream.reconfigure(errors="backslashreplace")
         stack.enter_context(warnings.catch_warnings())
         warnings.showwarning = lambda message, *_rest: say(f"warning: {message}")
+        sayer, log = _Sayer(logging.WARNING), logging.getLogger("flexjoint")
+        log.addHandler(sayer)
+        stack.callback(log.removeHandler, sayer)
         yield
 
 

@@ -26,7 +26,9 @@ class RecordingLimits:
     header_bytes: int = limit(200_000, "bytes", "of a CSV's first line: 2000 names of 100")
     value: float = limit(1e9, "unit of the channel", "no sensor shows more, and fourth powers stay finite")
     time: float = limit(1e10, "s", "seconds since 1970 are 2e9; float64 resolves 2 us here")
-    ticks_per_row: float = limit(10.0, "periods", "beyond it a recording is more gaps than samples")
+    ticks_per_row: float = limit(
+        10.0, "periods", "beyond it a recording, or a reference to simulate, is more gaps than samples"
+    )
     poses: int = limit(1_000_000, "rows", "of a table of poses: each costs an equilibrium")
 
 

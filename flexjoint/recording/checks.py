@@ -70,8 +70,8 @@ def check(robot: Robot, recording: Recording) -> None:
 
 
 def check_columns(robot: Robot | None, recording: Recording) -> None:
-    """Raise RecordingError where columns of one joint say of each other that one is off by 180/pi. A robot
-    tells the gear ratios by which a motor's angle may be larger."""
+    """Raise RecordingError where columns of one joint say of each other that one is off by 180/pi, in a
+    recording without long pauses. A robot tells the gear ratios by which a motor's angle may be larger."""
     for joint in recording.joints:
         _compare_positions(robot, recording, joint)
         _compare_velocities(recording, joint)

@@ -10,6 +10,7 @@ import numpy as np
 
 from flexjoint.core.errors import RecordingError, SimulationError
 from flexjoint.core.limits import RECORDING, SIMULATION
+from flexjoint.core.messages import shown
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.statics.equilibrium import equilibrium
 from flexjoint.model.statics.start import at_rest, initial_positions
@@ -96,8 +97,18 @@ def simulate(
 
 
 def check_size(model: FlexibleJointModel, reference: Recording, rate: float) -> None:
-    """Raise SimulationError for a run that is longer than any that is made."""
+    """Raise SimulationError for a run that is longer than any that is made, or than its reference has samples
+    for."""
     names = model.robot.joint_names
+    steps = np.diff(reference.time)
+    if steps.size and np.sum(steps) > RECORDING.ticks_per_row * reference.time.size * np.median(steps):
+        longest = int(np.argmax(steps))
+        raise SimulationError(
+            f"{shown(reference.name)}: expected a reference with fewer than {RECORDING.ticks_per_row:g}"
+            f" sampling periods for each sample, got {reference.time.size} samples, most of them"
+            f" {np.median(steps):.3g} s apart, in {reference.duration:.4g} s; the longest pause is"
+            f" {steps[longest]:.4g} s at {reference.time[longest]:.6g} s; cut it at its pauses"
+        )
     size = reference.duration * rate * len(names)
     if size > SIMULATION.joint_steps:
         raise SimulationError(

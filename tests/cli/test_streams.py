@@ -39,31 +39,55 @@ def run(words: list[object], **how: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, text=True, timeout=120, check=False, env=ENVIRONMENT, **how)  # type: ignore
 
 
-def test_a_full_output_is_one_line() -> None:
+@pytest.mark.parametrize("words", ["effects", "schema", "--help", "--version", "diagnose --help"])
+def test_a_full_output_is_one_line(words: str) -> None:
     with open("/dev/full", "w") as full:
-        done = run(["effects"], stdout=full, stderr=subprocess.PIPE)
+        done = run(words.split(), stdout=full, stderr=subprocess.PIPE)
     assert (done.returncode, done.stderr) == (2, "flexjoint: output: No space left on device\n")
 
 
-@pytest.mark.parametrize("closed", [1, 2])
-def test_a_closed_stream_is_no_matter(closed: int) -> None:
+def test_a_full_output_ends_a_server_in_one_line() -> None:
+    pytest.importorskip("mcp")
+    asked = '{"jsonrpc":"2.0","id":1,"method":"ping"}\n'
+    with open("/dev/full", "w") as full:
+        done = run(["mcp"], input=asked, stdout=full, stderr=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (2, "flexjoint: output: No space left on device\n")
+
+
+@pytest.mark.parametrize(
+    ("closed", "words", "code"), [(1, "effects", 0), (1, "--help", 0), (2, "robots --no", 2)]
+)
+def test_a_closed_stream_is_no_matter(closed: int, words: str, code: int) -> None:
     done = run(
-        ["effects"] if closed == 1 else ["robots", "--nonsense"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        preexec_fn=lambda: os.close(closed),
+        words.split(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=lambda: os.close(closed)
     )
-    assert (done.returncode, done.stdout, done.stderr) == (0 if closed == 1 else 2, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
 
 
-def test_a_reader_that_has_enough_is_no_matter() -> None:
+@pytest.mark.parametrize("word", ["effects", "--help"])
+def test_a_reader_that_has_enough_is_no_matter(word: str) -> None:
     with subprocess.Popen(
-        [*FLEXJOINT, "effects"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT
+        [*FLEXJOINT, word], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT
     ) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 0
+
+
+def test_what_is_logged_is_said_as_warnings_are(tmp_path: Path, lever: Path) -> None:
+    (tmp_path / "file").write_text("")
+    command = ["simulate", "--robot", LEVER, "--reference", lever, "--out", tmp_path / "run.csv"]
+    done = subprocess.run(
+        [*FLEXJOINT, *map(str, command), "--engine", "compiled"],
+        env={**ENVIRONMENT, "FLEXJOINT_CACHE": str(tmp_path / "file" / "cache")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0 and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("flexjoint: warning: compiled models are not kept: ")
 
 
 def test_a_disk_that_is_full_leaves_no_half_file(tmp_path: Path, lever: Path) -> None:

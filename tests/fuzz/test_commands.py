@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 import yaml
 from fuzz.hostile import command, fuzz
@@ -19,6 +21,8 @@ from support.robots.robot_files import JOINT, URDF, content
 from flexjoint.effects import catalogue
 from flexjoint.recording import table as recording
 from flexjoint.recording.table import UNITS, Recording
+from flexjoint.robot import robot
+from flexjoint.simulation.simulate import simulate
 
 JOINTS = ("shoulder", "elbow")
 ROWS = 120
@@ -90,6 +94,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recording.write(
         drawn({(c, j): (0.2, "wave") for c in ("q", "theta", "tau_m") for j in JOINTS}), made / "good.csv"
     )
+    reference = drawn({("q_ref", j): (0.2, "wave") for j in JOINTS})
+    noise = {"q": 1e-5, "theta": 1e-5, "tau_m": 1e-3}
+    moved = simulate(robot.load(made / "good.yaml"), reference, sample_rate=250.0, noise=noise).measured
+    kept = {
+        key: values for key, values in moved.columns.items() if key[0] in ("q", "theta", "tau_m", "tau_t")
+    }
+    recording.write(Recording(moved.time, kept), made / "moved.parquet")
     return made
 
 
@@ -144,6 +155,78 @@ def test_diagnose_with_any_recording(
     command(out, "diagnose", path, "--robot", folder / "good.yaml", *words)
 
 
+VALUES = ("empty", "constant", "scaled", "huge", "noise", "turned", "late")
+STAMPS = ("early", "swapped", "backwards", "pause", "one time", "burst")
+ROWWISE = ("rows", "row twice", "column")
+Damage = tuple[str, int, int, int, float]
+damages = st.lists(
+    st.tuples(
+        st.sampled_from([*VALUES, *STAMPS, *ROWWISE]),
+        st.integers(0, 99),  # a column ...
+        st.integers(0, ROWS - 1),  # ... from a row ...
+        st.sampled_from([1, 2, 10, 60, ROWS]),  # ... for so many rows
+        st.sampled_from([0.0, 1e-9, 1e-3, 0.5, -1.0, 57.3, 1e3, 1e6, 1e9, 1e20]),
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+def damaged(table: Recording, changes: list[Damage]) -> Recording:
+    """A recording with each of some damages done to it, one after the other."""
+    time, columns = table.time.copy(), {key: values.copy() for key, values in table.columns.items()}
+    for how, column, begin, count, size in changes:
+        rows = slice(begin, begin + count)
+        key = list(columns)[column % len(columns)]
+        if how in STAMPS:
+            time[rows] = stamped(time[rows], how)
+            time[begin:] += {"pause": size, "backwards": -abs(size)}.get(how, 0.0)
+        elif how in VALUES:
+            columns[key][rows] = changed(columns[key][rows], how, size)
+        elif how == "column" and len(columns) > 1:
+            del columns[key]
+        elif how != "column":
+            kept = np.arange(len(time))
+            kept = kept[: max(2, begin)] if how == "rows" else np.sort([*kept, begin % len(time)])
+            time, columns = time[kept], {key: values[kept] for key, values in columns.items()}
+    return Recording(time, columns)
+
+
+def stamped(time: np.ndarray, how: str) -> np.ndarray:
+    """Stamps of some rows, damaged."""
+    ways = {
+        "early": time - 0.003,
+        "swapped": time[::-1],
+        "burst": np.round(time, 2),
+        "one time": np.full(time.shape, time[0] if time.size else 0.0),
+    }
+    return ways.get(how, time).copy()
+
+
+def changed(values: np.ndarray, how: str, size: float) -> np.ndarray:
+    """Samples of some rows, damaged."""
+    ways = {
+        "empty": np.full(values.shape, np.nan),
+        "constant": np.full(values.shape, values[0] if values.size else 0.0),
+        "scaled": values * size,
+        "huge": np.full(values.shape, size),
+        "noise": values + size * np.random.default_rng(0).normal(size=values.shape),
+        "turned": -values,
+        "late": np.roll(values, 3),
+    }
+    return ways[how]
+
+
+@fuzz(12)
+@given(changes=damages)
+def test_diagnose_with_a_damaged_recording(folder: Path, changes: list[Damage]) -> None:
+    path, out = folder / "table.parquet", folder / "out.json"
+    table = damaged(recording.read(folder / "moved.parquet"), changes)
+    raw = {"time": table.time, **{f"{c}.{j}": values for (c, j), values in table.columns.items()}}
+    pyarrow.parquet.write_table(pa.table(raw), path)
+    command(out, "diagnose", path, "--robot", folder / "good.yaml", "--quiet", "--json", out)
+
+
 @fuzz(40)
 @given(
     poses=st.lists(st.tuples(numbers, numbers), max_size=4),
@@ -182,12 +265,16 @@ def test_any_words(folder: Path, words: list[str]) -> None:
 
 
 def test_what_was_changed_was_good(folder: Path) -> None:
-    robot = folder / "good.yaml"
+    robot_file = folder / "good.yaml"
     out = folder / "out.csv"
-    assert command(out, "simulate", "--robot", robot, "--reference", folder / "good.csv", "--out", out) == 0
+    assert (
+        command(out, "simulate", "--robot", robot_file, "--reference", folder / "good.csv", "--out", out) == 0
+    )
     out = folder / "out.json"
     assert (
-        command(out, "compare", folder / "good.csv", "--robot", robot, "--horizon", 0.2, "--json", out) == 0
+        command(out, "compare", folder / "good.csv", "--robot", robot_file, "--horizon", 0.2, "--json", out)
+        == 0
     )
     words = ["--quiet", "--no-refine", "--json", out]
-    assert command(out, "diagnose", folder / "good.csv", "--robot", robot, *words) == 0
+    assert command(out, "diagnose", folder / "good.csv", "--robot", robot_file, *words) == 0
+    assert command(out, "diagnose", folder / "moved.parquet", "--robot", robot_file, *words) == 0

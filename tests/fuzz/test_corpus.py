@@ -16,6 +16,7 @@ from support.robots.robot_files import URDF
 from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.followup import experiment
 from flexjoint.recording import table as recording
+from flexjoint.recording.importing import open_log
 from flexjoint.robot import robot
 
 READ = {
@@ -24,6 +25,7 @@ READ = {
     ".xml": robot.load,
     ".sdf": robot.load,
     ".csv": recording.read,
+    ".mcap": open_log,
 }
 
 

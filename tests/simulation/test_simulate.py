@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from flexjoint.recording.table import make as table
 from flexjoint.simulation.controllers import LinkPD, MotorPD, law_of
 from flexjoint.simulation.loop import physics_rate
 from flexjoint.simulation.options import RunOptions
+from flexjoint.simulation.pieces import simulated_in_pieces
 from flexjoint.simulation.rollout import closed_loop, rollout
 from flexjoint.simulation.sensors import readings, true_signals
 from flexjoint.simulation.simulate import command_rate, references_at, simulate, torque_over
@@ -309,3 +311,26 @@ def test_a_result_beyond_the_largest_recording_is_refused_before_it_is_made() ->
     reference = table(time, {("q_ref", name): np.sin(time)})
     with pytest.raises(SimulationError, match=r"rows of 11 columns, at most 1e\+08 cells are kept"):
         simulate(robot, reference)
+
+
+# ------------------------------------------------------------------ pauses
+def with_a_pause(seconds: float) -> Recording:
+    """A second at 250 Hz with a pause in its middle."""
+    time = np.arange(250) / 250.0
+    time[125:] += seconds
+    return Recording(time, {("q_ref", "joint"): np.full(250, 0.3)}, name="paused.csv")
+
+
+@pytest.mark.parametrize("seconds", [1000.0, 1e5, 1e9])
+@pytest.mark.parametrize("run", [simulate, lambda *given: list(simulated_in_pieces(*given))])
+def test_a_long_pause_is_refused_before_it_is_walked_through(
+    run: Callable[..., object], seconds: float
+) -> None:
+    with pytest.raises(SimulationError) as refused:
+        run(model_of(), with_a_pause(seconds))
+    assert f"the longest pause is {seconds + 0.004:.4g} s at 0.496 s; cut it" in str(refused.value)
+
+
+def test_a_short_pause_is_simulated() -> None:
+    done = simulate(model_of(), with_a_pause(2.0))
+    assert done.measured.duration == pytest.approx(2.996)

@@ -38,8 +38,18 @@ ABOUT = "Diagnose what a robot's simulation gets wrong. Paths are of files on th
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Serve until the caller hangs up. Raises MissingExtraError without the extra `mcp`."""
-    server().run("stdio")
+    """Serve until the caller hangs up. Raises MissingExtraError without the extra `mcp`, and OSError where
+    standard output takes nothing."""
+    made = server()
+    try:
+        made.run("stdio")
+    except BaseExceptionGroup as group:
+        raise _first(group) from None
+
+
+def _first(error: BaseException) -> BaseException:
+    """What went wrong in the first of a group's tasks."""
+    return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
 def server() -> MCPServer:

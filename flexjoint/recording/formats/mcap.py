@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 from flexjoint.core.errors import FlexJointError, MissingExtraError
@@ -21,7 +20,6 @@ def read(path: Path, report: Report = silent) -> Log:
     Raises RecordingError with what is wrong with the file, MissingExtraError with what is not installed.
     """
     try:
-        from mcap.exceptions import McapError
         from mcap.reader import make_reader
         from mcap_ros2.decoder import DecoderFactory
     except ImportError:
@@ -49,17 +47,6 @@ def read(path: Path, report: Report = silent) -> Log:
                     messages.add(channel.topic, kind, decode(message.data), message.log_time)
     except FlexJointError:
         raise
-    except (
-        McapError,
-        OSError,
-        ValueError,
-        KeyError,
-        IndexError,
-        EOFError,
-        struct.error,
-        RuntimeError,
-        TypeError,
-        AttributeError,
-    ) as error:
+    except Exception as error:  # the libraries of its compression raise errors without a common base
         raise unreadable(str(path), KIND, error) from None
     return messages.log(str(path), KIND, others)

@@ -16,6 +16,7 @@ from flexjoint.core.errors import RecordingError
 from flexjoint.core.text import Block, Line, Table, plain
 from flexjoint.recording.channels import lag_of
 from flexjoint.recording.checks import all_joints, check_columns, keeps_one_sign
+from flexjoint.recording.clock import without_pauses
 from flexjoint.recording.logs import units
 from flexjoint.recording.logs.log import ELEMENT, Documented, Log, Signal, last_part, named
 from flexjoint.recording.logs.mapping import EMPTY, ChannelEntry, MappingFile, by_joint
@@ -104,7 +105,7 @@ def converted(log: Log, mapping: MappingFile = EMPTY, robot: Robot | None = None
         for k, joint in enumerate(source.joints)
     }
     recording = make(time, columns, log.source)
-    check_columns(robot, recording)
+    check_columns(robot, without_pauses(recording))
     return Imported(recording, tuple(_account(log, mapping, sources, recording, clock, notes)))
 
 

@@ -142,12 +142,14 @@ def cache_folder() -> Path:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder = folder.resolve()
-        why = unsafe(folder)
+        unsafe_by = unsafe(folder)
     except (OSError, RuntimeError) as error:  # RuntimeError: no home folder
-        why = str(error)
-    if not why:
-        return folder
-    log.warning("compiled models are not kept: %s is not safe (%s)", folder, why)
+        why = f"cannot be made ({getattr(error, 'strerror', None) or error})"
+    else:
+        if not unsafe_by:
+            return folder
+        why = f"is not safe ({unsafe_by})"
+    log.warning("compiled models are not kept: %s %s; name another folder in FLEXJOINT_CACHE", folder, why)
     return _temporary_folder()
 
 

@@ -135,6 +135,14 @@ def test_whatever_a_mapping_says_the_log_is_a_recording_or_refused(keys: dict[st
         assert not any(np.any(np.isinf(values)) for values in got.recording.columns.values())
 
 
+def test_work_does_not_grow_with_a_pause() -> None:
+    """Spans of 50 ms through it would be 2e10, 160 GB."""
+    time = M.time.copy()
+    time[len(time) // 2 :] += 1e9
+    read = imported(log(time=time, q=M.q, dq=M.dq)).recording
+    assert read.duration > 1e9 and read.time.size == time.size
+
+
 def test_numbers_by_joint_and_in_order() -> None:
     gears = np.array([100.0, 50.0])
     source = log(pos=M.q * gears)

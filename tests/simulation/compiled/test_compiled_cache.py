@@ -102,6 +102,23 @@ def test_a_folder_open_to_others_is_not_used(
     assert "not safe (others have access" in caplog.text
 
 
+@pytest.mark.parametrize("below", ["a file", "nothing"])
+def test_a_folder_that_cannot_be_made_is_one_line(
+    below: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "file").write_text("")
+    chosen = tmp_path / "file" / "cache" if below == "a file" else Path("/proc/nothing/cache")
+    monkeypatch.setenv("FLEXJOINT_CACHE", str(chosen))
+    one = compiler.compilers()[0]
+    with caplog.at_level(logging.WARNING, "flexjoint"):
+        path = cache.library(SOURCE, one)
+    assert answer(path) == 42
+    monkeypatch.setattr(compiler.Compiler, "compile", None)
+    assert cache.library(SOURCE, one) == path  # kept as long as the process lives
+    assert len(caplog.records) == 1
+    assert f"{chosen} cannot be made" in caplog.text and "FLEXJOINT_CACHE" in caplog.text
+
+
 def test_a_folder_that_another_user_could_swap_is_not_used(tmp_path: Path) -> None:
     inner = tmp_path / "open" / "cache"
     inner.mkdir(parents=True, mode=0o700)
