@@ -17,6 +17,7 @@ import pytest
 from planting import Planted, plant
 from support.cli_runs import complaint, run
 from support.diagnose_cases import ROBOTS, SENSORS, as_recording, nominal
+from support.pages import DOCS, blocks
 
 from flexjoint.cli.diagnosis.demo import Demo
 from flexjoint.cli.diagnosis.demo import write as write_demo
@@ -163,6 +164,19 @@ def _commands(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple
             for verb, inner in action.choices.items():
                 yield from _commands(inner, f"{name} {verb}".strip())
     yield name, {option for action in parser._actions for option in action.option_strings}
+
+
+@pytest.mark.parametrize(
+    ("page", "shown"),
+    [
+        ("reference/formats.md", ("comparison", "check", "plan", "diagnosis")),
+        ("studies/benchmark.md", ("benchmark_answers",)),
+    ],
+)
+def test_the_examples_of_a_page_keep_to_their_schemas(page: str, shown: tuple[str, ...]) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    for text, name in zip(blocks(DOCS / page, "json"), shown, strict=True):
+        jsonschema.validate(json.loads(text), schema(name), cls=jsonschema.Draft202012Validator)
 
 
 def test_a_refusal_keeps_to_the_schema_too(tmp_path: Path) -> None:
