@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.rival import INTEGRATORS, Rival
+from flexjoint import check, load_robot, read_recording, shipped_robots
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.batch import closed_loops
@@ -44,6 +45,7 @@ FINE = 64_000.0  # steps per second of the tight solution
 CHUNK, ROUNDS = 2e-3, 250  # seconds a chunk lasts about; rounds of all contenders
 BATCH, BATCH_ROUNDS = 64, 15  # rollouts of a batch; rounds of all that run one
 ITERATING_ROUNDS = 20
+CHECK_ROUNDS = 4
 BATCHED = "implicitfast"  # MuJoCo's best stable integrator on CENTAURO
 SMALL = 6  # joints up to which explicit schemes of order 1 are stable at this rate
 RATES = {"physics": RATE, "control": CONTROL}
@@ -287,6 +289,22 @@ def batches(name: str, console: Console) -> None:
     console.print(table_of)
 
 
+def checks(console: Console) -> None:
+    """Processor time of a check of each recording of the KR300 against its stored diagnosis, over the length
+    of the recording, the start of Python left out: the best of a few."""
+    place = shipped_robots()["kr300"].parent
+    robot = load_robot("kr300")
+    table = Table("", "of its length", title="flexjoint check, KR300")
+    for path in sorted((place / "recordings").glob("*.parquet")):
+        recording, best = read_recording(path), float("inf")
+        for _ in range(CHECK_ROUNDS):
+            begin = time.process_time()
+            check(robot, recording, place / "diagnosed" / "rec_A.json")
+            best = min(best, time.process_time() - begin)
+        table.add_row(path.stem, f"{best / recording.duration:.3f}")
+    console.print(table)
+
+
 def main() -> None:
     console = Console(width=100)
     mujoco.set_mju_user_warning(lambda _: None)  # divergence is shown in the table, not in a log file
@@ -300,6 +318,8 @@ def main() -> None:
     if len(sys.argv) == 1 or "iterating" in sys.argv[1:]:
         for name in ("two links", "UR5", "CENTAURO"):
             iterating(name, console)
+    if len(sys.argv) == 1 or "checks" in sys.argv[1:]:
+        checks(console)
 
 
 if __name__ == "__main__":

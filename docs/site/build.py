@@ -143,7 +143,8 @@ def cli() -> str:
     lines = [
         "# Command line",
         "",
-        "Exit code 0 when the work was done, 2 on unusable input with one line that says why.",
+        "Exit code 0 when the work was done, 1 where a check finds a change, 2 on unusable input with one"
+        " line that says why.",
         "",
     ]
     for depth, name, parser in commands(_parser(), "flexjoint", 1):

@@ -56,8 +56,10 @@ the same motion with and without the effect, of the size that
 [the study](docs/studies/diagnosis_study.md) plants. Left: the residual of the torque balance in which it
 shows most, over the signal that it depends on (the nominal model's is zero). Right: how far the link
 goes astray in the simulation. The smallest sizes are of one machine, one motion and one draw of the noise
-each, on robots whose files trust their numbers to 2 %: what lies within that is no finding. Definitions,
-ranges and defaults: [effects](docs/reference/effects.md).
+each, on robots whose files trust their numbers to 2 %: what lies within that is no finding. Sizes on real
+machines are those that the sources of [shipped robots](docs/reference/robots.md) with recordings state, and
+those that the KR300's [stored diagnosis](docs/studies/real_machines.md) found; the sizes here are the
+study's, a judgement. Definitions, ranges and defaults: [effects](docs/reference/effects.md).
 """
 
 
@@ -89,12 +91,62 @@ def _card(effect: Effect, folder: Path) -> str:
         f"{k} {_number(v)} {units.get(k, '').replace('1', '')}".strip() for k, v in planted.items()
     )
     lines.append(f"Here: {size}. Reference: {effect.reference or 'none'}.")
-    lines.append(" ".join([*_alike(effect), *_study(effect.name), *_smallest(effect)]))
+    lines.append(" ".join([*_real(effect), *_alike(effect), *_study(effect.name), *_smallest(effect)]))
     return "\n\n".join(line for line in lines if line)
 
 
 def _number(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, int | float) else str(value)
+    if not isinstance(value, int | float):
+        return str(value)
+    return f"{float(f'{value:.3g}'):g}"  # no power of ten below a million
+
+
+def _real(effect: Effect) -> list[str]:
+    """Its main number on real machines: as their makers state it, and as the stored diagnosis found it."""
+    if effect.name not in {*_stated(), *_found()}:
+        return []
+    name = law(effect.name).required[0]
+    unit = next(param.unit for param in effect.params if param.name == name).replace("1", "")
+    said = [
+        f"{_range(sizes)} {unit} stated of the {robot}" for robot, sizes in _stated().get(effect.name, ())
+    ]
+    found = _found().get(effect.name)
+    said += [f"{_range(found)} {unit} found on the kr300"] if found else []
+    return [f"On real machines: {name} {'; '.join(said)}."]
+
+
+def _range(sizes: list[float]) -> str:
+    least, most = (_number(one) for one in (min(sizes), max(sizes)))
+    return least if least == most else f"{least} to {most}"
+
+
+@cache
+def _stated() -> dict[str, list[tuple[str, list[float]]]]:
+    """By effect, the real machines whose files list it, each with its sizes."""
+    stated: dict[str, list[tuple[str, list[float]]]] = {}
+    for name, path in fj.shipped_robots().items():
+        if not (path.parent / "recordings").is_dir():
+            continue
+        own: dict[str, list[float]] = {}
+        for e in fj.load_robot(name).effects:
+            own.setdefault(e.effect.name, []).append(abs(e.values[law(e.effect.name).required[0]]))
+        for effect, sizes in own.items():
+            stated.setdefault(effect, []).append((name, sizes))
+    return stated
+
+
+@cache
+def _found() -> dict[str, list[float]]:
+    """By effect, its sizes in the stored diagnosis of the KR300, of causes that are more likely than not.
+    What changes a number that the nominal model has is no size."""
+    nominal = {(e.effect.name, e.joint) for e in fj.load_robot("kr300").effects}
+    path = fj.shipped_robots()["kr300"].parent / "diagnosed" / "rec_A.json"
+    found: dict[str, list[float]] = {}
+    for one in json.loads(path.read_text(encoding="utf-8"))["findings"]:
+        size = one["parameters"][law(one["effect"]).required[0]]["value"]
+        if one["probability"] >= 0.5 and (one["effect"], one["joint"]) not in nominal and size > 0.0:
+            found.setdefault(one["effect"], []).append(size)
+    return found
 
 
 def _alike(effect: Effect) -> list[str]:
@@ -113,7 +165,7 @@ def _alike(effect: Effect) -> list[str]:
         out.append(
             f"It contains {_listed(effect.contains)}, which is left where a motion does not excite the rest."
         )
-    return out
+    return out or ["No other effect is the same to every recording."]
 
 
 def _listed(names: Any) -> str:
@@ -144,7 +196,7 @@ def _study(name: str) -> list[str]:
     said = f"In the study it was named exactly in {exact} of {row['cases']} cases above the noise"
     said += f", beside a tie in {tied} more." if tied else "."
     wrong = row.get("false names", "")
-    return [said, *([f"Named in its place: {wrong}."] if wrong else [])]
+    return [said, f"Named in its place: {wrong or 'nothing'}."]
 
 
 @cache

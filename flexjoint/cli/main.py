@@ -298,6 +298,7 @@ def _add_plan(commands: Any) -> None:
     plan.add_argument("--reach", type=float, help="rad to either side of the centre, default 0.6")
     plan.add_argument("--speed", type=float, help="rad/s at most, default the URDF's limit")
     plan.add_argument("--seed", type=int, default=1, help="of the search for a motion, default 1")
+    plan.add_argument("--json", type=Path, metavar="OUT.json", help="write what to expect as JSON")
     plan.add_argument("--quiet", action="store_true", help="print nothing")
     plan.set_defaults(run=_lazily("diagnosis.plan"))
 

@@ -1068,7 +1068,7 @@ class CheckSettings(Stage):
         1500.0,
         "samples times joints a second",
         "of the recording that are looked at: a check is to take a twentieth of its length",
-        "machine: KR300, 9 to 11 % on a busy core; study: planted levers and gimbals, 1 to 4 %",
+        "machine: KR300, 14 to 20 % on a busy core; study: planted levers and gimbals, 1 to 4 %",
     )
     samples: int = number(
         200_000, "samples times joints", "that are looked at of any recording: half a gigabyte", "judgement"

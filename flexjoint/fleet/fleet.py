@@ -7,13 +7,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 
 from flexjoint.core.text import Block, Table, plain
 from flexjoint.core.text import Line as TextLine
 from flexjoint.diagnosis.result.wording import clean
-from flexjoint.fleet.assess import Line
+from flexjoint.fleet.assess import Line, Trend
 from flexjoint.fleet.campaign import Period, Reading
 from flexjoint.fleet.roster import Event
 from flexjoint.robot.robot import Robot
@@ -49,6 +50,20 @@ class Fleet:
         return pa.table(
             {name: pa.array([row[k] for row in rows], kind) for k, (name, kind) in enumerate(SCHEMA)}
         )
+
+    def to_json(self) -> dict[str, Any]:
+        """The page as JSON (docs/reference/formats.md)."""
+        unusable = [(period, *pair) for period in self.periods for pair in period.unusable]
+        return {
+            "schema": 1,
+            "robots": [_robot(line) for line in self.lines],
+            "events": [{"robot": e.machine, "day": day(e.time), "text": e.text} for e in self.events],
+            "unusable": [
+                {"robot": period.machine, "recording": str(entry.recording), "error": error}
+                for period, entry, error in unusable
+            ],
+            "notes": list(self.notes),
+        }
 
 
 SCHEMA = (
@@ -89,6 +104,37 @@ def _row(
     return (
         machine, str(reading.entry.recording), moment, joint, effect, parameter, *numbers, reading.version
     )  # fmt: skip
+
+
+def _robot(line: Line) -> dict[str, Any]:
+    return {
+        "robot": line.period.machine,
+        "state": line.state,
+        "chance": line.chance,
+        "next": line.next,
+        "troubles": [
+            {"joint": t.joint, "what": t.what, "sort": t.sort, "since": day(t.since)} for t in line.troubles
+        ],
+        "numbers": [_number(trend) for trend in line.trends if trend.change is not None],
+    }
+
+
+def _number(trend: Trend) -> dict[str, Any]:
+    """What became of a number over time, and how it follows the temperature."""
+    found, (effect, joint, parameter) = trend.change, trend.key
+    assert found is not None
+    return {
+        "effect": effect,
+        "joint": joint,
+        "parameter": parameter,
+        "changed": found.kind if trend.significant else "none",
+        "was": found.was,
+        "now": found.now,
+        "since": day(found.since),
+        "chance": found.chance,
+        "per_degree": found.per_degree if found.warm else None,
+        "per_degree_error": found.per_degree_error if found.warm else None,
+    }
 
 
 def _known(value: float) -> float | None:

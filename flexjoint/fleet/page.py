@@ -133,8 +133,8 @@ def _drawn(trend: Trend, start: float, events: Sequence[float]) -> Drawn:
         name,
     )
     caption = f"{name}; days since {day(start)}"
-    if trend.significant and trend.change is not None and trend.change.per_degree:
-        caption += f"; {trend.change.per_degree:.2g} per deg C taken out of its change"
+    if trend.change is not None and trend.change.warm:
+        caption += f"; {trend.change.per_degree:.2g} ± {trend.change.per_degree_error:.1g} per deg C"
     if not np.all(np.isfinite(trend.temperature)):
         caption += "; temperature not recorded"
     return Drawn(image, caption)

@@ -28,7 +28,7 @@ DAY = 86_400.0  # [s]
 class Change:
     """A number that changed: from `was` to `now` at the temperature that was usual, first at `since` [s],
     with the probability that chance does as much. `points` are the times of all change points; `per_degree`
-    is its slope over the temperature, 0 where that is not known."""
+    is its slope over the temperature with its standard error, 0 where that is not known."""
 
     kind: Literal["step", "drift", "none"]
     was: float
@@ -37,6 +37,7 @@ class Change:
     chance: float
     points: tuple[float, ...]
     per_degree: float = 0.0
+    per_degree_error: float = 0.0
     warm: bool = False  # whether the temperature was known, and taken out
 
 
@@ -64,19 +65,18 @@ def change(
     by_drift = _slope_chance(values, drifting)
     chance = min(1.0, 2.0 * min(by_step, by_drift))
     points = tuple(float(time[k]) for k in edges)
-    if not edges and by_drift > settings.false_alarms:
-        level = float(np.linalg.lstsq(plain, values, rcond=None)[0][0])
-        return Change("none", level, level, float(time[-1]), chance, (), 0.0, warm)
-    if edges:
-        found = np.linalg.lstsq(stepped, values, rcond=None)[0]
-        slope = float(found[-1]) if warm else 0.0
-        was, now = float(found[0]), float(found[len(edges)])
-        kind: Literal["step", "drift"] = "step" if by_step <= by_drift else "drift"
-        return Change(kind, was, now, points[0], chance, points, slope, warm)
-    found = np.linalg.lstsq(drifting, values, rcond=None)[0]
+    changed = bool(edges) or by_drift <= settings.false_alarms
+    design, heated = (stepped, len(edges) + 1) if edges else (drifting if changed else plain, 1)
+    found, errors = _fitted(values, design)
+    law = (float(found[heated]), float(errors[heated])) if warm else (0.0, 0.0)
     was = float(found[0])
-    now = was + float(found[-1]) * float(time[-1] - time[0]) / DAY
-    return Change("drift", was, now, float(time[0]), chance, (), float(found[1]) if warm else 0.0, warm)
+    if edges:
+        kind: Literal["step", "drift"] = "step" if by_step <= by_drift else "drift"
+        return Change(kind, was, float(found[len(edges)]), points[0], chance, points, *law, warm)
+    if changed:
+        now = was + float(found[-1]) * float(time[-1] - time[0]) / DAY
+        return Change("drift", was, now, float(time[0]), chance, (), *law, warm)
+    return Change("none", was, was, float(time[-1]), chance, (), *law, warm)
 
 
 def _spans(edges: list[int], count: int) -> list[tuple[int, int]]:
@@ -123,12 +123,20 @@ def _chance(values: np.ndarray, small: np.ndarray, large: np.ndarray) -> float:
     return float(fisher.sf((whole - rest) / more / max(rest / freedom, 1e-300), more, freedom))
 
 
+def _fitted(values: np.ndarray, design: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers (k,) of a design (N, k) by least squares, and their standard errors; infinite where as many
+    values as numbers tell none."""
+    found, freedom = np.linalg.lstsq(design, values, rcond=None)[0], values.size - design.shape[1]
+    if freedom < 1:
+        return found, np.full(found.size, np.inf)
+    variance = max(_left(values, design) / freedom, 1e-300)
+    return found, np.sqrt(variance * np.diag(np.linalg.pinv(design.T @ design)))
+
+
 def _slope_chance(values: np.ndarray, design: np.ndarray) -> float:
     """t test of the last column."""
-    freedom = values.size - design.shape[1]
-    if freedom < 1:
+    found, errors = _fitted(values, design)
+    if not np.isfinite(errors[-1]):
         return 1.0
-    found = np.linalg.lstsq(design, values, rcond=None)[0]
-    variance = max(_left(values, design) / freedom, 1e-300)
-    error = float(np.sqrt(variance * np.linalg.pinv(design.T @ design)[-1, -1]))
-    return float(2.0 * student.sf(abs(found[-1]) / max(error, 1e-300), freedom))
+    distance = abs(found[-1]) / max(float(errors[-1]), 1e-300)
+    return float(2.0 * student.sf(distance, values.size - design.shape[1]))

@@ -1,4 +1,4 @@
-"""A fleet watched: recordings in, one table and one page out."""
+"""A fleet watched: recordings in, one table and one page out, the page as JSON, too."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.files import write_bytes, write_text
+from flexjoint.core.files import write_bytes, write_json, write_text
 from flexjoint.core.running.worker_pool import workers_of
 from flexjoint.fleet import page
 from flexjoint.fleet import roster as rosters
@@ -22,7 +22,7 @@ from flexjoint.fleet.units import Store
 from flexjoint.fleet.workers import cluster, local
 from flexjoint.robot.robot import load
 
-UNITS, TABLE, PAGE = "units", "fleet.parquet", "fleet.html"
+UNITS, TABLE, PAGE, FOUND = "units", "fleet.parquet", "fleet.html", "fleet.json"
 USUAL = FleetSettings()
 Progress = Callable[[float, str], None]
 
@@ -37,7 +37,7 @@ def watch(
     progress: Progress | None = None,
     settings: FleetSettings = USUAL,
 ) -> Fleet:
-    """Check every recording of a fleet, diagnose what has changed, and write the table and the page.
+    """Check every recording of a fleet, diagnose what has changed, write a table, a page and its JSON.
 
     Args:
         source: a folder with one folder a robot, or a list (docs/howto/fleets.md).
@@ -76,4 +76,5 @@ def watch(
     parquet.write_table(fleet.table(), sink)
     write_bytes(folder / TABLE, sink.getvalue().to_pybytes())
     write_text(folder / PAGE, page.html(fleet))
+    write_json(folder / FOUND, fleet.to_json())
     return fleet

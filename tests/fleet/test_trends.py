@@ -47,10 +47,24 @@ def test_what_the_temperature_does_is_no_wear_and_wear_shows_beside_it() -> None
     rng = np.random.default_rng(4)
     warmth = rng.uniform(15.0, 35.0, 12)
     heated = 1.0 - 0.02 * (warmth - 25.0) + 0.01 * rng.standard_normal(12)
-    assert found(heated, warmth).chance > SETTINGS.false_alarms
+    calm = found(heated, warmth)
+    assert calm.chance > SETTINGS.false_alarms and calm.kind == "none"
+    # the law is told of a machine that stays, too: an error of 0.01 over 12 values that spread by 6 deg C
+    assert calm.per_degree_error == pytest.approx(0.01 / np.sqrt(12) / np.std(warmth), rel=0.6)
+    assert abs(calm.per_degree + 0.02) < 4.0 * calm.per_degree_error
     worn = found(heated + 0.3 * (np.arange(12) >= 6), warmth)
     assert worn.chance < 1e-3 and worn.since == WEEKS[6]
     assert worn.per_degree == pytest.approx(-0.02, abs=0.004)  # four errors of a slope over 12 values
+
+
+def test_a_drift_on_warm_and_cold_days_has_both_slopes() -> None:
+    rng = np.random.default_rng(5)
+    warmth = rng.uniform(15.0, 35.0, 12)
+    one = found(1.0 - 0.02 * (warmth - 25.0) + 0.004 * np.arange(12), warmth)
+    assert one.chance < 1e-6 and one.now - one.was == pytest.approx(0.044, rel=1e-6)
+    assert one.per_degree == pytest.approx(-0.02, rel=1e-6)
+    cold = found(1.0 + 0.02 * rng.standard_normal(12))
+    assert (cold.per_degree, cold.per_degree_error, cold.warm) == (0.0, 0.0, False)
 
 
 def test_too_few_recordings_and_those_that_do_not_show_it_say_nothing() -> None:

@@ -73,6 +73,9 @@ def test_who_changed_is_shown_and_work_is_not_done_again(
     assert {row["robot"] for row in table} == {"calm", "worn"}
     page = (out / "fleet.html").read_text(encoding="utf-8")
     assert "1 robot needs somebody" in page and "broken.csv" in page and "<script" not in page
+    found = json.loads((out / "fleet.json").read_text())
+    assert {one["robot"]: one["state"] for one in found["robots"]} == {"calm": "green", "worn": "needs"}
+    assert found["robots"][0]["troubles"][0]["joint"] == "swing"
     again = watch.watch(fleet_folder, out, robot=LEVER, workers=1)
     assert again.units == 0  # all results lay there
     assert [line.period.machine for line in again.of("needs")] == ["worn"]

@@ -30,6 +30,11 @@ def test_a_number_shows_the_digits_that_its_error_supports(value, std, text):
     assert wording.with_error(value, std) == text
 
 
+def test_a_number_has_no_power_of_ten_below_a_million() -> None:
+    told = [wording.number(x) for x in (6098.0, 164.7, 0.00105, 123456.0, -5551.0, 2.5e6, 1e-5)]
+    assert told == ["6100", "165", "0.00105", "123000", "-5550", "2.50e+06", "1e-05"]
+
+
 def test_vectors_bounds_and_words_are_readable():
     position = d.Fitted((0.1, 0.0, -0.25), (0.01, 0.02, 0.03), "m", at_bound=True)
     assert wording.fitted(position) == "[0.100 ± 0.010, 0.00 ± 0.02, -0.25 ± 0.03] m (at its bound)"

@@ -79,10 +79,11 @@ def write(shown: Demo, folder: Path) -> Mapping[str, Path]:
     files = outputs(folder)
     everything = shown.diagnosis.extend(shown.nominal, least=0.0)  # its numbers are those of all causes
     html = page(shown.diagnosis, shown.nominal, everything, shown.recording)
-    gain = {
+    recordings = {
         name: {"before": before.to_json(), "after": after.to_json()}
         for name, (before, after) in shown.gains.items()
     }
+    gain = {"schema": 1, "recordings": recordings}
     files.write(to_json(shown.diagnosis, files.model_name()), html, shown.extended)
     write_json(folder / "gain.json", gain)
     return {

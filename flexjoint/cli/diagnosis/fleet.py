@@ -8,7 +8,7 @@ from rich.console import Console
 
 from flexjoint.core.messages import escaped
 from flexjoint.core.running.progress import silent
-from flexjoint.fleet.watch import PAGE, TABLE, watch
+from flexjoint.fleet.watch import FOUND, PAGE, TABLE, watch
 from flexjoint.report.material import require
 from flexjoint.report.progress import Progress
 from flexjoint.report.terminal import show
@@ -30,6 +30,6 @@ def run(arguments: argparse.Namespace) -> None:
     if not arguments.quiet:
         console = Console()
         show(fleet.summary(), console)
-        for name in (TABLE, PAGE):
+        for name in (TABLE, PAGE, FOUND):
             text = f"wrote {escaped(str(arguments.out / name))}"
             console.print(text, markup=False, highlight=False, soft_wrap=True)

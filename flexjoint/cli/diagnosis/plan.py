@@ -6,12 +6,14 @@ import argparse
 import math
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from flexjoint.cli import options
 from flexjoint.cli import outputs as cli_outputs
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.files import write_json
 from flexjoint.core.running.progress import silent
 from flexjoint.core.units import of_joint
 from flexjoint.diagnosis.followup import experiment as planning
@@ -27,7 +29,10 @@ BEYOND = 6.0  # decimal digits of odds, beyond which a number says nothing more
 def run(arguments: argparse.Namespace) -> None:
     """Plan, write the reference, say what to expect. Raises FlexJointError on unusable input."""
     inputs = [arguments.diagnosis] if arguments.diagnosis is not None else []
-    cli_outputs.check_place(arguments.out, (".csv", ".parquet"), [Path(arguments.robot), *inputs])
+    inputs += [Path(arguments.robot)]
+    cli_outputs.check_place(arguments.out, (".csv", ".parquet"), inputs)
+    if arguments.json is not None:
+        cli_outputs.check_place(arguments.json, (".json",), [*inputs, arguments.out])
     if arguments.seed < 0:
         raise FlexJointError(f"seed must be 0 or more, got {arguments.seed}")
     loaded = options.load_chosen(arguments)
@@ -44,6 +49,8 @@ def run(arguments: argparse.Namespace) -> None:
         progress = silent if arguments.quiet else bar
         plan = planning.plan(loaded, question, limits, arguments.seed, progress)
     recording.write(plan.reference, arguments.out)
+    if arguments.json is not None:
+        write_json(arguments.json, content(plan, loaded, arguments.out))
     if not arguments.quiet:
         _print(plan, loaded, arguments.out)
 
@@ -71,6 +78,36 @@ def _print(plan: Plan, loaded: Robot, out: Path) -> None:
     for line in sentences(plan):
         say(line)
     say(f"wrote {out}")
+
+
+def content(plan: Plan, robot: Robot, out: Path) -> dict[str, Any]:
+    """The JSON form of a plan whose reference was written to `out` (docs/reference/formats.md)."""
+    return {
+        "schema": 1,
+        "robot": robot.name,
+        "reference": str(out),
+        "seconds": plan.limits.seconds,
+        "expected": sentences(plan),
+        "joints": [
+            {"joint": joint, "travel": travel, "speed": speed, "torque": torque}
+            for joint, (travel, speed, torque) in plan.peaks.items()
+        ],
+        "ties": [_tie(outlook) for outlook in plan.outlooks],
+        "shown": [{"effect": effect, "joint": joint} for effect, joint in plan.shown],
+        "hidden": [{"effect": effect, "joint": joint} for effect, joint in plan.hidden],
+    }
+
+
+def _tie(outlook: Outlook) -> dict[str, Any]:
+    found, rival = outlook.tie.names
+    return {
+        "found": found,
+        "rival": rival,
+        "decided": outlook.decided,
+        "log_odds_if_found": outlook.if_found,
+        "log_odds_if_rival": outlook.if_rival,
+        "proposals": [{"what": p.what, "log_odds": p.log_odds} for p in outlook.proposals],
+    }
 
 
 def sentences(plan: Plan) -> list[str]:

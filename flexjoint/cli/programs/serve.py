@@ -12,7 +12,7 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flexjoint.cli.diagnosis.plan import sentences
+from flexjoint.cli.diagnosis.plan import content as plan_content
 from flexjoint.cli.outputs import Asked, check_place
 from flexjoint.core.errors import FlexJointError, MissingExtraError
 from flexjoint.diagnosis import pipeline
@@ -134,7 +134,7 @@ def plan(robot: str, out: str, diagnosis: str = "", seconds: float = 16.0) -> di
     limits = experiment.limits_of(nominal, seconds)
     made = experiment.plan(nominal, Path(diagnosis) if diagnosis else None, limits)
     tables.write(made.reference, Path(out))
-    return {"reference": out, "seconds": seconds, "expected": sentences(made)}
+    return plan_content(made, nominal, Path(out))
 
 
 def explain(diagnosis: str, robot: str, finding: int = 0) -> dict[str, Any]:
@@ -153,6 +153,7 @@ def _explained(content: Mapping[str, Any], index: int) -> dict[str, Any]:
     law = catalogue()[one["effect"]]
     steps = [s for s in content["trace"] if (s["effect"], s["joint"]) == (one["effect"], one["joint"])]
     return {
+        "schema": 1,
         "cause": cause(one["effect"], one["joint"]),
         "what": (type(law).__doc__ or "").strip(),
         "law": law.law,

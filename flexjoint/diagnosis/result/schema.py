@@ -13,7 +13,7 @@ FOLDER = Path(__file__).parent / "schemas"
 
 
 def names() -> tuple[str, ...]:
-    """The outputs that have one: check, comparison, data, diagnosis, unit."""
+    """The outputs that have one (docs/reference/programs.md)."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.json")))
 
 

@@ -115,10 +115,11 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number to so many significant digits; a dash where there is none."""
+    """A number to so many significant digits, without a power of ten below a million; a dash where there is
+    none."""
     if value is None or not math.isfinite(value):
         return NOTHING
-    return f"{value:.{digits}g}" if abs(value) < 1e6 else f"{value:.{digits - 1}e}"
+    return f"{float(f'{value:.{digits}g}'):g}" if abs(value) < 1e6 else f"{value:.{digits - 1}e}"
 
 
 def percent(share: float | None) -> str:

@@ -134,7 +134,7 @@ def test_the_installed_demo_names_causes_and_measures_what_they_gain(demo: tuple
     folder, printed = demo
     said = json.loads((folder / "diagnosis.json").read_text())
     assert said["verdict"] in ("causes", "unexplained") and said["findings"]
-    gain = json.loads((folder / "gain.json").read_text())
+    gain = json.loads((folder / "gain.json").read_text())["recordings"]
     assert set(gain) == {"rec_B", "rec_C"}
     for recorded in gain.values():
         before, after = recorded["before"]["rms"], recorded["after"]["rms"]

@@ -65,6 +65,10 @@ def test_the_gallery_tells_each_effect_s_law_size_and_fate(tmp_path: Path) -> No
     drawn = picture.stat().st_mtime_ns
     gallery["_card"](effect, tmp_path)
     assert picture.stat().st_mtime_ns == drawn  # kept, as nothing changed
+    assert "On real machines: gap 6e-05 rad stated of the kr300." in card
+    assert "No other effect is the same" in card and "Named in its place: " in card
+    found = gallery["_real"](fj.catalogue()["sensor_delay"])
+    assert found == ["On real machines: delay 0.00305 s found on the kr300."]
     tied = gallery["_alike"](fj.catalogue()["payload"])
     assert tied == ["The same to any experiment as `base_tilt` ([ties](docs/explained/diagnosis.md#ties))."]
 

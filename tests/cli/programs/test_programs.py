@@ -3,9 +3,11 @@ stdio."""
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,13 @@ import pytest
 from planting import Planted, plant
 from support.cli_runs import complaint, run
 from support.diagnose_cases import ROBOTS, SENSORS, as_recording, nominal
+from support.pages import DOCS, blocks
 
+from flexjoint.cli.diagnosis.demo import Demo
+from flexjoint.cli.diagnosis.demo import write as write_demo
+from flexjoint.cli.main import _parser
+from flexjoint.cli.programs import serve
+from flexjoint.core.files import write_json
 from flexjoint.diagnosis.comparison.compare import compare
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.followup.agreement.agreement import agreement
@@ -23,6 +31,12 @@ from flexjoint.diagnosis.followup.checking.check import check
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.result.schema import names, schema
+from flexjoint.fleet.assess import assessed
+from flexjoint.fleet.campaign import Period, Reading
+from flexjoint.fleet.fleet import Fleet
+from flexjoint.fleet.roster import Entry, Event
+from flexjoint.fleet.settings import FleetSettings
+from flexjoint.fleet.trends import DAY
 from flexjoint.fleet.units import Store, perform, unit_of
 from flexjoint.recording.table import Recording
 from flexjoint.recording.table import write as write_recording
@@ -51,7 +65,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def written(folder: Path) -> Written:
     """Each output as its command writes it."""
-    robot, one = nominal("lever"), recorded(5)
+    robot, one, out = nominal("lever"), recorded(5), folder
     turned = {k: -v if k == ("tau_m", "swing") else v for k, v in one.columns.items()}
     check(robot, one, folder / "diagnosis.json").write(folder / "check.json")
     compare(robot, one).write(folder / "comparison.json")
@@ -62,7 +76,48 @@ def written(folder: Path) -> Written:
     unit = unit_of("check", folder / "rec.parquet", LEVER, known)
     Store(folder / "units").put(perform(unit))
     (folder / "unit.json").write_bytes((folder / "units" / f"{unit.key}.json").read_bytes())
+    known_to = ("--robot", LEVER, "--diagnosis", folder / "diagnosis.json")
+    assert run("plan", *known_to, "--out", out / "ref.csv", "--json", out / "plan.json", "--quiet") == 0
+    told = serve.explain(str(folder / "diagnosis.json"), str(LEVER))
+    (folder / "explanation.json").write_text(json.dumps(told))
+    _fleet(folder)
+    _benchmark(folder)
+    gains = {"rec_B": (compare(robot, one), compare(robot, one))}
+    write_demo(Demo(robot, robot, one, Diagnosis("healthy", ""), gains), folder / "demo")
+    (folder / "gain.json").write_bytes((folder / "demo" / "gain.json").read_bytes())
     return {name: json.loads((folder / f"{name}.json").read_text()) for name in names()}
+
+
+def _fleet(folder: Path) -> None:
+    """A machine that wears over six weeks, whose readings were made here: what is written of it is asked."""
+    moments = [7.0 * DAY * k for k in range(6)]
+    key = ("motor_coulomb_friction", "swing", "level")
+    readings = [
+        Reading(
+            Entry("m1", Path(f"{k}.csv"), LEVER, moment, 20.0 + k % 3),
+            {key: (1.0 + 0.5 * (k >= 3) + 1e-3 * (-1) ** k, 0.01)},
+            {"swing": 0.1},
+            {},
+            {"swing": "more is left"} if k >= 3 else {},
+        )
+        for k, moment in enumerate(moments)
+    ]
+    bad = (Entry("m1", Path("bad.csv"), LEVER, moments[-1]), "no such file")
+    period = Period("m1", LEVER, None, tuple(readings), (bad,))
+    lines = assessed([period], {LEVER: nominal("lever")}, FleetSettings())
+    assert lines[0].state == "needs" and lines[0].troubles and lines[0].trends
+    event = Event("m1", moments[0], "gear changed")
+    found = Fleet(lines, (period,), (event,), {}, ("one type", "of robot"), 0, 0.0)
+    write_json(folder / "fleet.json", found.to_json())
+
+
+def _benchmark(folder: Path) -> None:
+    """A case, an answer to it and its score, by the commands."""
+    place, answers = folder / "cases", folder / "benchmark_answers.json"
+    assert run("benchmark", "make", place, "--count", 1, "--parts", "clean", "--no-real") == 0
+    (folder / "benchmark_cases.json").write_bytes((place / "cases.json").read_bytes())
+    assert run("benchmark", "answer", place, answers) == 0
+    assert run("benchmark", "score", place, answers, "--json", folder / "benchmark_score.json") == 0
 
 
 def undescribed(value: Any, described: dict[str, Any], where: str = "") -> list[str]:
@@ -95,6 +150,35 @@ def test_what_is_written_keeps_to_its_schema(name: str, written: Written) -> Non
         jsonschema.validate({k: v for k, v in written[name].items() if k != first}, schema(name))
 
 
+def test_every_command_that_writes_json_has_a_schema() -> None:
+    titles = " ".join(schema(name)["title"] for name in names())
+    writing = [command for command, options in _commands(_parser()) if "--json" in options]
+    assert {"diagnose", "plan", "benchmark score"} <= set(writing)
+    assert [command for command in writing if f"`flexjoint {command} --json`" not in titles] == []
+
+
+def _commands(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, set[str]]]:
+    """Each command and verb, with its options."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for verb, inner in action.choices.items():
+                yield from _commands(inner, f"{name} {verb}".strip())
+    yield name, {option for action in parser._actions for option in action.option_strings}
+
+
+@pytest.mark.parametrize(
+    ("page", "shown"),
+    [
+        ("reference/formats.md", ("comparison", "check", "plan", "diagnosis")),
+        ("studies/benchmark.md", ("benchmark_answers",)),
+    ],
+)
+def test_the_examples_of_a_page_keep_to_their_schemas(page: str, shown: tuple[str, ...]) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    for text, name in zip(blocks(DOCS / page, "json"), shown, strict=True):
+        jsonschema.validate(json.loads(text), schema(name), cls=jsonschema.Draft202012Validator)
+
+
 def test_a_refusal_keeps_to_the_schema_too(tmp_path: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema")
     Diagnosis("refused", "the robot hardly moves").write(tmp_path / "d.json")
@@ -106,7 +190,7 @@ def test_the_command_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.split() == list(names())
     assert run("schema", "check") == 0
     assert json.loads(capsys.readouterr().out) == schema("check")
-    assert "valid: check, comparison" in complaint(capsys, "schema", "chek")
+    assert "valid: benchmark_answers, benchmark_cases" in complaint(capsys, "schema", "chek")
 
 
 # ------------------------------------------------------------------ Model Context Protocol
