@@ -29,6 +29,7 @@ class RecordingLimits:
     ticks_per_row: float = limit(
         10.0, "periods", "beyond it a recording, or a reference to simulate, is more gaps than samples"
     )
+    held: float = limit(100.0, "s", "a reference of few samples may hold one so long before that is a gap")
     poses: int = limit(1_000_000, "rows", "of a table of poses: each costs an equilibrium")
 
 

@@ -101,8 +101,9 @@ def check_size(model: FlexibleJointModel, reference: Recording, rate: float) -> 
     for."""
     names = model.robot.joint_names
     steps = np.diff(reference.time)
-    if steps.size and np.sum(steps) > RECORDING.ticks_per_row * reference.time.size * np.median(steps):
-        longest = int(np.argmax(steps))
+    longest = int(np.argmax(steps)) if steps.size else 0
+    held = bool(steps.size) and steps[longest] > RECORDING.held
+    if held and np.sum(steps) > RECORDING.ticks_per_row * reference.time.size * np.median(steps):
         raise SimulationError(
             f"{shown(reference.name)}: expected a reference with fewer than {RECORDING.ticks_per_row:g}"
             f" sampling periods for each sample, got {reference.time.size} samples, most of them"
