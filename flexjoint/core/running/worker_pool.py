@@ -44,6 +44,7 @@ class WorkerPool:
         self._places = {id(one): place for place, one in enumerate(self._shared)}
         self._others: list[tuple[BaseProcess, Connection]] = []
         self._waiting = _Numbers()  # of items that nobody has taken; made when others are forked
+        self._asker: int | None = None  # process of which this one was forked
 
     @property
     def size(self) -> int:
@@ -97,6 +98,8 @@ class WorkerPool:
         others are left alone, as if they had failed, too."""
         out: dict[int, Result | _Failed] = {}
         for k in self._waiting if part is None else part:
+            if self._asker is not None and os.getppid() != self._asker:
+                raise SystemExit(1)  # it was killed, and nobody waits for an answer
             failed = next((one for one in out.values() if isinstance(one, _Failed)), None)
             try:
                 out[k] = failed or function(items[k])
@@ -133,6 +136,8 @@ class WorkerPool:
     def _serve(self, pipe: Connection, other_end: Connection) -> None:
         """Answer until nobody asks any more."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asks ends it
+        asker = multiprocessing.parent_process()
+        self._asker = asker.pid if asker else None
         other_end.close()
         for _, inherited in self._others:
             inherited.close()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -97,6 +99,30 @@ def test_nobody_is_left_behind() -> None:
     for process in others:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
+
+
+LONG = """
+import os, time
+from flexjoint.core.running.worker_pool import worker_pool
+
+def rest(_):
+    print(os.getpid(), flush=True)
+    time.sleep(0.05)
+
+with worker_pool([], 2) as processes:
+    processes.map(rest, range(2000))
+"""
+
+
+def test_nobody_works_on_for_a_process_that_was_killed() -> None:
+    """A hundred seconds of work are left when it is ended; a worker ends with the item that it has."""
+    with subprocess.Popen([sys.executable, "-c", LONG], stdout=subprocess.PIPE, text=True) as asker:
+        assert asker.stdout is not None
+        seen = {asker.pid}
+        while len(seen) < 2:
+            seen.add(int(asker.stdout.readline()))
+        asker.terminate()
+        asker.communicate(timeout=30)  # over when no process can write any more
 
 
 def test_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
