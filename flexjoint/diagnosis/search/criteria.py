@@ -169,7 +169,7 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
         return False
     if shared_by_tolerances(trial, without, added) or _between_samples(trial, added):
         return False
-    gained, left = explained(trial, without, added), unexplained_energy(trial)
+    gained, left = explained(trial, without, added), _left_beside(trial, added)
     paid = price(trial) - price(without)
     if gained - paid < trial.settings.search.unexplained_share * left:
         return False
@@ -184,6 +184,19 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
     if contradicted(trial, without):
         return False
     return shown_by_motion(trial, gained, added) and material(trial, added, gained)
+
+
+def _left_beside(trial: Fit, added: Planned) -> float:
+    """Unexplained energy against which an effect is held: of ordinary friction, which every joint has, that
+    of the balances that it changes, whatever is left of other joints; else all."""
+    problem, left = trial.problem, unexplained_energy(trial)
+    if not added.effect.ordinary:
+        return left
+    k = next(k for k, e in enumerate(trial.effects) if e is added)
+    changed = torque_shares(problem, trial.effects, k) > 0.0
+    rest = (problem.rest(trial.y) * problem.weights).reshape(changed.size, -1)
+    rows = np.sum(rest**2, axis=1)
+    return left * float(np.sum(rows[changed])) / max(float(np.sum(rows)), 1e-300)
 
 
 def stands_in(trial: Fit, added: Planned) -> bool:

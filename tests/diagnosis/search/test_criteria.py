@@ -20,12 +20,14 @@ from flexjoint.diagnosis.result import Estimation, Finding, Fitted
 from flexjoint.diagnosis.search import criteria, trials
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
 from flexjoint.diagnosis.search.criteria import (
+    _left_beside,
     at_own_level,
     contradicted,
     degenerate,
     explained,
     score,
     supported,
+    unexplained_energy,
 )
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.search.trials import date_onset, might_matter, settled
@@ -212,6 +214,23 @@ def test_a_law_finer_than_the_sensors_see_is_a_simpler_one() -> None:
     for scale, simpler in ((3e-3, False), (5e-6, True)):
         law = effect("dahl_friction", "turn", level=0.4, scale=scale)
         assert degenerate(problem, law) is simpler
+
+
+def test_ordinary_friction_is_held_against_what_its_own_joint_leaves() -> None:
+    """A drag that nobody explains is left on the last of three joints: friction of the first is none the less
+    there. Any other law has to stand out of all that is left."""
+    first, _, last = nominal("gimbal").joint_names
+    drag = Planted("quadratic_drag", last, {"coefficient": 3.0})
+    rubs = Planted("motor_coulomb_friction", first, {"level": 0.3})
+    assumed = (
+        effect("motor_coulomb_friction", first, level=0.3),
+        effect("torque_offset", first, offset=0.1),
+    )
+    trial = fitted(Case("gimbal", "rich", 3), drag, rubs, assumed=assumed)
+    friction, offset = (_left_beside(trial, e) for e in trial.effects)
+
+    assert offset == unexplained_energy(trial)
+    assert 0.0 < friction < 0.1 * offset
 
 
 def test_a_friction_in_one_direction_only_is_an_offset() -> None:
