@@ -92,14 +92,17 @@ class DryFriction:
         backward, forward = levels
         least, most = -limits.most_at_rest * backward, limits.most_at_rest * forward
         changed: np.ndarray | float = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
-        lost, given_back = np.zeros_like(net), np.zeros_like(net)
+        lost, given_back = np.zeros_like(net), None
         reach = self._within(limits.ringing)
         for further in reversed(range(FRICTION_ROUNDS)):
             filtered, error = speed.beside(changed)
             rest = np.minimum(np.maximum(changed, self.rest_speed(error)), limits.rest_speed)
             # the filtered speed must say so, too: where a body stands for longer than the filter between two
             # motions, the iteration would become unstable
-            ahead, back = np.minimum(_moving(filtered, rest), _moving(filtered + given_back, rest))
+            shares = _moving(filtered, rest)
+            if given_back is not None:
+                shares = np.minimum(shares, _moving(filtered + given_back, rest))
+            ahead, back = shares
             moving = ahead + back
             near, far_net = maximum_filter1d(moving, reach), denoised_net + lost
             sticking = np.minimum(np.maximum(far_net + near * (net + lost - far_net), least), most)

@@ -40,11 +40,9 @@ def about_likely_links(problem: Problem) -> Problem:
     motions = (problem.motion, problem.balances.denoised.motion)
     robot, recording = problem.robot, problem.readings.recording
     best, least = problem, problem.energy(problem.residual([]))
-    claimed = {e.key for e in problem.nominal}  # effects move no link here
     for _ in range(LINK_ROUNDS):
         y = best.residual([])
-        deviations = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
-        numbers = [e for e in deviations if e.key not in claimed]
+        numbers = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
         moved = [reconstruct(robot, m.readings, recording, numbers) for m in motions]
         if not all(np.isfinite(m.q).all() for m in moved):  # such numbers may make no mechanism
             break
@@ -168,7 +166,7 @@ def _evaluated(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> f
 
 def _energy_at(problem: Problem, deviations: np.ndarray, effects: Sequence[Planned]) -> float:
     """Energy of some effects where the nominal numbers are off by these deviations."""
-    there = problem.with_nominal([*effects, *deviation_effects(problem, deviations)])
+    there = [*problem.with_nominal(effects), *deviation_effects(problem, deviations)]
     scale = np.array([problem.torque_scale[r.joint] for r in problem.balances.rows])
     there_white = whitening.make(problem.balances, scale, there, like=problem.whitening)
     white = there_white.apply(problem.balances.residual(there)).ravel()

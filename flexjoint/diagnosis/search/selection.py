@@ -430,7 +430,8 @@ def prune(result: Fit, pool: WorkerPool, standing: Mapping[Key, frozenset[Key]] 
     while len(result.effects) > 1:
         asked = [e for e in result.effects if known.get(e.key) != _neighbours(result, e)]
         without = pool.map(_without_unsupported, [(result, e) for e in asked])
-        lower = [f for f in without if f is not None and f.energy < result.energy]
+        parts = [f for f in without if f is not None and _keys(f) < _keys(result)]
+        lower = [f for f in parts if f.energy < result.energy]
         freed = pool.map(_with_missing_effect, [(result, f) for f in lower]) if again else []
         best = min(freed, key=lambda f: f.energy, default=result)
         if best.energy < result.energy:

@@ -32,7 +32,7 @@ def residual_views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
         return (balances.time_series(balances.residual(effects)) - problem.jumped(numbers))[:, used]
 
     before = series([*problem.nominal, *offsets], first)
-    after = series(problem.with_nominal([*best.effects, *deviation_effects(problem, last)]), last)
+    after = series([*problem.with_nominal(best.effects), *deviation_effects(problem, last)], last)
     noise = problem.deviation
     out = []
     for row, old, new, expected in zip(balances.rows, before, after, noise, strict=True):

@@ -200,7 +200,7 @@ def left_beside(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
 
 def _left(problem: Problem, effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
     """(rows, N) what effects leave beside deviations (numbers,) of the nominal numbers."""
-    every = problem.with_nominal([*effects, *deviation_effects(problem, numbers)])
+    every = [*problem.with_nominal(effects), *deviation_effects(problem, numbers)]
     return _of(problem, every) - problem.jumped(numbers)[:, problem.readings.valid]
 
 

@@ -12,6 +12,7 @@ from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.result.known import Known
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.unseen import View, away, in_views, remaining, standing_out
+from flexjoint.effects import Planned
 
 
 def left_by(best: Fit, nothing: Fit | None = None) -> tuple[Remaining, ...]:
@@ -28,7 +29,7 @@ def _series(best: Fit) -> np.ndarray:
     them be."""
     problem = best.problem
     numbers = problem.deviations(best.y)  # to first order: their products are small where a machine is known
-    effects = problem.with_nominal([*best.effects, *deviation_effects(problem, numbers)])
+    effects: list[Planned] = [*problem.with_nominal(best.effects), *deviation_effects(problem, numbers)]
     series = problem.balances.time_series(problem.balances.residual(effects)) - problem.jumped(numbers)
     return np.asarray(series[:, problem.readings.valid])
 
