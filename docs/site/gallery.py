@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 
 import flexjoint as fj
 from flexjoint.cli.robots.effects import SITES, summary
-from flexjoint.diagnosis.result.wording import effect_name, unit_of
+from flexjoint.diagnosis.result.wording import effect_name, number, unit_of
 from flexjoint.effects import Effect, Site
 from flexjoint.report.plots import AFTER, BEFORE, STYLE
 from flexjoint_benchmark.score import EQUIVALENT
@@ -96,9 +96,7 @@ def _card(effect: Effect, folder: Path) -> str:
 
 
 def _number(value: Any) -> str:
-    if not isinstance(value, int | float):
-        return str(value)
-    return f"{float(f'{value:.3g}'):g}"  # no power of ten below a million
+    return number(value) if isinstance(value, int | float) else str(value)
 
 
 def _real(effect: Effect) -> list[str]:

@@ -410,7 +410,8 @@ class SearchSettings(Stage):
     unexplained_share: float = number(
         0.05,
         "share of the unexplained energy",
-        "that a cause, or a finer law, must explain at least, and by which ties may differ",
+        "that a cause, or a finer law, must explain at least (ordinary friction: of its own balances), and by"
+        " which ties may differ",
         "judgement",
     )
     common_joints: int = number(

@@ -110,7 +110,7 @@ def _shrunk(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> floa
     if not sizes:
         return 0.0
     rows = len(problem.balances.rows)
-    left = (problem.rest(y) * problem.weights).reshape(rows, -1)
+    left = problem.rest_by_row(y)
     noise = problem.freedom / rows
     total = 0.0
     for row, size in sizes.items():

@@ -373,6 +373,10 @@ class Problem(Recorded):
         """(samples,) what the nominal numbers leave of a residual."""
         return y - self.along(self.deviations(y))
 
+    def rest_by_row(self, y: np.ndarray) -> np.ndarray:
+        """(rows, n) the same by balance, in deviations of the noise at this level: its squares are energy."""
+        return (self.rest(y) * self.weights).reshape(len(self.balances.rows), -1)
+
     def project(self, a: np.ndarray) -> np.ndarray:
         """Columns a (k, samples) with what the nominal numbers can explain of them taken out."""
         return a - self.along(cho_solve(self._gram, self.across(a * self.squares).T).T)

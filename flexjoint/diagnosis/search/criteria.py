@@ -194,8 +194,7 @@ def _left_beside(trial: Fit, added: Planned) -> float:
         return left
     k = next(k for k, e in enumerate(trial.effects) if e is added)
     changed = torque_shares(problem, trial.effects, k) > 0.0
-    rest = (problem.rest(trial.y) * problem.weights).reshape(changed.size, -1)
-    rows = np.sum(rest**2, axis=1)
+    rows = np.sum(problem.rest_by_row(trial.y) ** 2, axis=1)
     return left * float(np.sum(rows[changed])) / max(float(np.sum(rows)), 1e-300)
 
 

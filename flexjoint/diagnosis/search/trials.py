@@ -235,7 +235,7 @@ def _might_clear(best: Fit, rival: Fit, scored: Scored) -> bool:
     shares = [torque_shares(problem, effects, k) for k in range(len(effects) - 2, len(effects))]
     wrong = problem.level.inflation / problem.level.implausibility > limits.wrong
     marked = wrong & np.any(np.array(shares) > 0.0, axis=0)
-    left = (problem.rest(best.y) * problem.weights).reshape(marked.size, -1)[marked]
+    left = problem.rest_by_row(best.y)[marked]
     needed = (
         problem.energy(rival.y)
         - problem.energy(best.y)
