@@ -31,6 +31,14 @@ def deviation_effects(problem: Problem, deviations: np.ndarray) -> list[Planned]
     return as_effects(problem.nuisance, -deviations, inertial, problem.robot, other_component)
 
 
+def counted_deviations(problem: Problem, deviations: np.ndarray) -> list[Planned]:
+    """Those of `deviation_effects` beside which what is left is counted: all but those of ordinary friction
+    that the model claims. Friction that is wrong by more than a background is named, whatever its tolerance
+    (verdict/joints), and what is left must say so."""
+    claimed = {e.key for e in problem.nominal if e.effect.ordinary}
+    return [e for e in deviation_effects(problem, deviations) if e.key not in claimed]
+
+
 def about_likely_links(problem: Problem) -> Problem:
     """The problem with the links that only their motors tell of where the likely nominal numbers put them,
     those that explain most of the residual: balances are linear about the links' motion, and twice the error
@@ -40,9 +48,11 @@ def about_likely_links(problem: Problem) -> Problem:
     motions = (problem.motion, problem.balances.denoised.motion)
     robot, recording = problem.robot, problem.readings.recording
     best, least = problem, problem.energy(problem.residual([]))
+    claimed = {e.key for e in problem.nominal}  # effects move no link here
     for _ in range(LINK_ROUNDS):
         y = best.residual([])
-        numbers = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
+        deviations = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
+        numbers = [e for e in deviations if e.key not in claimed]
         moved = [reconstruct(robot, m.readings, recording, numbers) for m in motions]
         if not all(np.isfinite(m.q).all() for m in moved):  # such numbers may make no mechanism
             break
@@ -166,7 +176,7 @@ def _evaluated(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> f
 
 def _energy_at(problem: Problem, deviations: np.ndarray, effects: Sequence[Planned]) -> float:
     """Energy of some effects where the nominal numbers are off by these deviations."""
-    there = [*problem.with_nominal(effects), *deviation_effects(problem, deviations)]
+    there = problem.with_nominal([*effects, *deviation_effects(problem, deviations)])
     scale = np.array([problem.torque_scale[r.joint] for r in problem.balances.rows])
     there_white = whitening.make(problem.balances, scale, there, like=problem.whitening)
     white = there_white.apply(problem.balances.residual(there)).ravel()

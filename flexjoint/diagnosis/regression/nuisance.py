@@ -39,17 +39,19 @@ class NominalNumber(Parameter):
             an effect's or an encoder offset's; of a simulation's, that of `model.parameters`.
         joint: whose it is; None: of no joint.
         direction: (10 n,) of all links' inertial parameters, where it is no single one of them.
+        of: the parameter of the effect `name` that the nominal model claims.
     """
 
     _: KW_ONLY
     std: float = 1.0
     joint: str | None = None
     direction: tuple[float, ...] = ()
+    of: str = ""
 
     @property
     def becomes_effect(self) -> bool:
         """Whether `as_effects` makes an effect of its deviation."""
-        return self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")
+        return bool(self.of) or self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")
 
     @property
     def of_the_robot(self) -> bool:
@@ -90,15 +92,27 @@ def as_effects(
     robot: Robot,
     other_component: float,
 ) -> list[Planned]:
-    """Deviations of the actuators and links, in prior deviations, as effects that a model can hold.
-    `nominal` (n, 10) are the links' inertial parameters."""
+    """Deviations of the actuators, of the links and of the effects that the nominal model claims, in prior
+    deviations, as effects that a model can hold; the last take the place of what the model claims. `nominal`
+    (n, 10) are the links' inertial parameters."""
     drives: dict[str, dict[str, float]] = {}
+    claimed = {e.key: e for e in robot.effects}
     added: dict[str, np.ndarray] = {}
+    changed: dict[tuple[str, str | None], Planned] = {}
     directions: dict[str, Iterator[np.ndarray]] = {}  # of a joint, those still to come
     for number, deviation in zip(nuisance, deviations, strict=True):
-        if number.joint is None:
+        key = number.name, number.joint
+        if not number.becomes_effect:
             continue
-        if number.name in NUMBERS:
+        if number.of and deviation:
+            (param,) = (p for p in claimed[key].effect.params if p.name == number.of)
+            value = claimed[key].values[param.name] * (1.0 + max(-0.9, float(deviation) * number.std))
+            changed[key] = changed.get(key, claimed[key]).with_values(
+                {param.name: float(np.clip(value, param.low, param.high))}
+            )
+        elif number.joint is None or number.of:
+            continue
+        elif number.name in NUMBERS:
             change = max(-0.9, float(deviation) * number.std)
             drives.setdefault(number.joint, {})[NUMBERS[number.name]] = change
         elif number.name == "inertial":
@@ -111,7 +125,7 @@ def as_effects(
     out = [  # reading = true + offset
         effect(n.name, n.joint, offset=float(np.clip(-d * n.std, -TURN, TURN)))
         for n, d in zip(nuisance, deviations, strict=True)
-        if n.name.endswith("_encoder_offset")
+        if n.name.endswith("_encoder_offset") and not n.of
     ]
     out += [
         Planned(DriveDeviation(), joint, {**dict.fromkeys("KB", 0.0), "D": 0.0, "D_m": 0.0, **values})
@@ -121,7 +135,7 @@ def as_effects(
         Planned(InertialDeviation(), joint, {"added": tuple(map(float, change))})
         for joint, change in added.items()
     ]
-    return out
+    return [*out, *changed.values()]
 
 
 class Columns:
@@ -202,7 +216,8 @@ class Columns:
                 moved = e.with_values({param.name: value * (1.0 + spread)})
                 changed = self.balances.changed(base, [moved if x is e else x for x in base])
                 columns.append(self.whitening.white(self.whitening.band(changed)).ravel())
-                self.nuisance.append(NominalNumber(e.effect.name, joint=e.joint, std=spread))
+                number = NominalNumber(e.effect.name, joint=e.joint, std=spread, of=param.name)
+                self.nuisance.append(number)
         return columns
 
     def _offset_columns(self) -> list[np.ndarray]:
@@ -287,14 +302,16 @@ class Columns:
         return out
 
     def entangled(self, effects: Sequence[Planned]) -> dict[str, list[Planned]]:
-        """Joints with effects that change how an actuator's numbers enter the balances (`entangles`), with
-        all effects of that joint."""
-        joints = dict.fromkeys(e.joint for e in effects if e.joint and entangles(e))
+        """Joints with effects that change how an actuator's numbers enter the balances (`entangles`), or take
+        the place of what the nominal model claims, with all effects of that joint."""
+        joints = dict.fromkeys(
+            e.joint for e in effects if e.joint and (entangles(e) or self._replaced(e.key, effects))
+        )
         return {j: [e for e in effects if e.joint == j and e.effect.site is not Site.BODY] for j in joints}
 
     def beside(self, effects: Sequence[Planned]) -> dict[int, np.ndarray]:
         """Columns, by their number's index, that are different beside some effects: those of actuators beside
-        effects of their joint, and those of links beside a friction that sticks."""
+        effects of their joint, those of links beside a friction that sticks, and none of what is replaced."""
         entangled = self.entangled(effects)
         out = self._loads_beside(entangled)
         for joint, own in entangled.items():
@@ -303,7 +320,16 @@ class Columns:
                     key = (number.name, joint, *(e.identity for e in own))
                     make = partial(self._beside, own, joint, number)
                     out[k] = self.whitening.white(self._recent.get(key, make, REMEMBERED)).ravel()
+                elif number.of and number.joint == joint and self._replaced((number.name, joint), own):
+                    out[k] = np.zeros(self.samples)
         return out
+
+    def _replaced(self, key: tuple[str, str | None], effects: Sequence[Planned]) -> bool:
+        """Whether another effect takes the place of one that the nominal model claims: its numbers are fitted
+        then, and those of the nominal model are no longer at work."""
+        claimed = next((e for e in self.robot.effects if e.key == key), None)
+        here = next((e for e in effects if e.key == key), None)
+        return claimed is not None and here is not None and here is not claimed and not here.nominal
 
     def _beside(self, own: Sequence[Planned], joint: str, number: NominalNumber) -> Band:
         """Trace of a joint's number beside effects of that joint, before it is whitened."""

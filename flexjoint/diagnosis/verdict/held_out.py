@@ -61,16 +61,16 @@ def comparison(
     """Simulation against the held-out blocks, with the nominal model and with the causes, whose numbers come
     from the other blocks. None where the recording cannot drive a simulation. The nominal model's errors are
     taken from `known`, an earlier comparison, if given. If the fit without causes, `nothing`, is given, the
-    nominal numbers of both models are corrected within their tolerances, each as its own fit has them."""
+    nominal numbers of both models are corrected within their tolerances, each as its own fit has them, and
+    the whole recording is compared: other blocks do not tell the numbers of what acts only for a while, as
+    friction after a rest does."""
     block = problem.settings.verdict.held_out_block
     away = held_out_blocks(problem.balances.chains.t[0] + problem.time, block)
-    held_out = bool(np.any(away) and not np.all(away))
+    held_out = nothing is None and bool(np.any(away) and not np.all(away))
     if held_out:
         best = fit(problem.at(NoiseLevel(best.problem.level.inflation)).only(~away), best.effects)
     first, last = robot, robot.extended(best.effects)
     if nothing is not None:
-        if held_out:
-            nothing = fit(problem.at(NoiseLevel(nothing.problem.level.inflation)).only(~away), [])
         first, last = robot.extended(shifts(nothing)), last.extended(shifts(best))
     rows = (
         held_out_blocks(recording.time - recording.time[0], block)

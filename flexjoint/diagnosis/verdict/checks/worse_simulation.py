@@ -18,9 +18,10 @@ WHY = "it lowers a balance, but makes the simulation of its joint worse on held-
 
 
 class WorseSimulation(Check[SimulatedCase]):
-    """The simulations are compared with nominal numbers corrected within their tolerances, because a small
-    true cause need not improve a simulation whose stiffness is 2 % wrong. The best alternative that does not
-    make the simulation worse takes the place of the cause."""
+    """A cause must make the simulation worse on held-out data, and on the whole recording with the nominal
+    numbers corrected within their tolerances: a small true cause need not improve a simulation whose
+    stiffness is 2 % wrong, nor one that acts only for a while what the other blocks tell of it. The best
+    alternative that does not make the simulation worse takes the place of the cause."""
 
     name = "worse simulation"
     stage = "simulation"
@@ -78,8 +79,8 @@ def _instead(case: SimulatedCase, dropped: Planned) -> Selection | None:
 
 
 def _compared(case: SimulatedCase, best: Fit, fair: bool = False) -> Gain | None:
-    """A fit's simulation on held-out data; `fair`: the models with and without causes are compared with the
-    nominal numbers corrected, each as its own fit has them."""
+    """A fit's simulation on held-out data; `fair`: the models with and without causes are compared on the
+    whole recording with the nominal numbers corrected, each as its own fit has them."""
     nothing, known = (case.selection.nothing, None) if fair else (None, case.measured)
     return comparison(case.robot, case.recording, case.problem, best, known, nothing)
 
