@@ -25,18 +25,21 @@ CONVERGED = 0.1  # what they explain changes by less than this energy
 
 
 def deviation_effects(problem: Problem, deviations: np.ndarray) -> list[Planned]:
-    """Deviations (numbers,) of the nominal numbers, as effects that a model can hold."""
+    """Deviations (numbers,) of the nominal numbers beside which what is left is counted, as effects that a
+    model can hold: all but those of friction that the model claims (`NominalNumber.claims_friction`)."""
+    counted = _as_effects(problem)
+    return _effects(problem, np.where(counted, deviations, 0.0))
+
+
+def every_deviation(problem: Problem, deviations: np.ndarray) -> list[Planned]:
+    """The same with those of claimed friction: what a simulation of the likely machine has."""
+    return _effects(problem, deviations)
+
+
+def _effects(problem: Problem, deviations: np.ndarray) -> list[Planned]:
     other_component = problem.settings.regression.other_component
     inertial = problem.motion.rigid.inertial
     return as_effects(problem.nuisance, -deviations, inertial, problem.robot, other_component)
-
-
-def counted_deviations(problem: Problem, deviations: np.ndarray) -> list[Planned]:
-    """Those of `deviation_effects` beside which what is left is counted: all but those of ordinary friction
-    that the model claims. Friction that is wrong by more than a background is named, whatever its tolerance
-    (verdict/joints), and what is left must say so."""
-    claimed = {e.key for e in problem.nominal if e.effect.ordinary}
-    return [e for e in deviation_effects(problem, deviations) if e.key not in claimed]
 
 
 def about_likely_links(problem: Problem) -> Problem:
@@ -188,4 +191,4 @@ def _energy_at(problem: Problem, deviations: np.ndarray, effects: Sequence[Plann
 
 def _as_effects(problem: Problem) -> np.ndarray:
     """(numbers,) bool: those of which `deviation_effects` makes effects."""
-    return np.array([n.becomes_effect for n in problem.nuisance], dtype=bool)
+    return np.array([n.becomes_effect and not n.claims_friction for n in problem.nuisance], dtype=bool)

@@ -13,7 +13,7 @@ import numpy as np
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.deviations import (
     converged_deviations,
-    deviation_effects,
+    every_deviation,
     judged_energy,
     relinearised,
 )
@@ -84,7 +84,7 @@ class Fit:
 def shifts(result: Fit) -> list[Planned]:
     """The deviations of the nominal numbers beside the fitted effects, as effects of their own. Products of
     two deviations (a stiffness with its encoders' offsets) are included."""
-    return deviation_effects(result.problem, nominal_deviations(result))
+    return every_deviation(result.problem, nominal_deviations(result))
 
 
 def nominal_deviations(result: Fit) -> np.ndarray:

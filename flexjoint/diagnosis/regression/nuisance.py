@@ -15,7 +15,7 @@ from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, Balances
 from flexjoint.diagnosis.regression.whitening import Band, Whitening
 from flexjoint.diagnosis.signals.jumps import Unknown, jumps, unknown_shapes
 from flexjoint.diagnosis.signals.signals import Readings
-from flexjoint.effects import Drive, Effect, Parameter, Planned, Site, effect
+from flexjoint.effects import Drive, Effect, Parameter, Planned, Site, catalogue, effect
 from flexjoint.robot.robot import Robot
 from flexjoint.robot.schema import COM_AT_ORIGIN
 
@@ -52,6 +52,12 @@ class NominalNumber(Parameter):
     def becomes_effect(self) -> bool:
         """Whether `as_effects` makes an effect of its deviation."""
         return bool(self.of) or self.name in (*NUMBERS, "inertial") or self.name.endswith("_encoder_offset")
+
+    @property
+    def claims_friction(self) -> bool:
+        """Whether it is of ordinary friction that the model claims. Where that is off by more than a background
+        it is named, whatever its tolerance (verdict/joints): what is left is counted beside the claim."""
+        return bool(self.of) and catalogue()[self.name].ordinary
 
     @property
     def of_the_robot(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.signal import periodogram
 
-from flexjoint.diagnosis.regression.deviations import counted_deviations, deviation_effects
+from flexjoint.diagnosis.regression.deviations import deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, nominal_deviations
 from flexjoint.diagnosis.result import ResidualView, Unexplained
 from flexjoint.diagnosis.settings import USUAL
@@ -32,7 +32,7 @@ def residual_views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
         return (balances.time_series(balances.residual(effects)) - problem.jumped(numbers))[:, used]
 
     before = series([*problem.nominal, *offsets], first)
-    after = series(problem.with_nominal([*best.effects, *counted_deviations(problem, last)]), last)
+    after = series(problem.with_nominal([*best.effects, *deviation_effects(problem, last)]), last)
     noise = problem.deviation
     out = []
     for row, old, new, expected in zip(balances.rows, before, after, noise, strict=True):

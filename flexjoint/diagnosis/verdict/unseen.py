@@ -14,11 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances, balances_of
-from flexjoint.diagnosis.regression.deviations import (
-    converged_deviations,
-    counted_deviations,
-    deviation_effects,
-)
+from flexjoint.diagnosis.regression.deviations import converged_deviations, deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, fit, nominal_deviations
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.regression.recorded import Recorded
@@ -204,7 +200,7 @@ def left_beside(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
 
 def _left(problem: Problem, effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
     """(rows, N) what effects leave beside deviations (numbers,) of the nominal numbers."""
-    every = problem.with_nominal([*effects, *counted_deviations(problem, numbers)])
+    every = problem.with_nominal([*effects, *deviation_effects(problem, numbers)])
     return _of(problem, every) - problem.jumped(numbers)[:, problem.readings.valid]
 
 

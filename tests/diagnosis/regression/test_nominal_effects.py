@@ -10,8 +10,8 @@ from support.diagnose_cases import Case, as_recording, nominal
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.deviations import (
     converged_deviations,
-    counted_deviations,
     deviation_effects,
+    every_deviation,
 )
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
@@ -55,8 +55,8 @@ def test_ordinary_friction_that_is_claimed_counts_as_it_is_claimed(rubs: Problem
     y = rubs.residual([])
     deviations = converged_deviations(rubs, [], y)
     assert abs(deviations[number(rubs)]) > 0.5  # so far within its tolerance
-    assert any(e.key == (RUBS.effect, RUBS.joint) for e in deviation_effects(rubs, deviations))
-    likely = counted_deviations(rubs, deviations)
+    assert any(e.key == (RUBS.effect, RUBS.joint) for e in every_deviation(rubs, deviations))
+    likely = deviation_effects(rubs, deviations)
 
     assert not any(e.key == (RUBS.effect, RUBS.joint) for e in likely)
     right = effect("motor_coulomb_friction", "swing", level=TRUE)

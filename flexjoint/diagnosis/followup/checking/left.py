@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.deviations import counted_deviations
+from flexjoint.diagnosis.regression.deviations import deviation_effects
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.result.known import Known
@@ -28,7 +28,7 @@ def _series(best: Fit) -> np.ndarray:
     them be."""
     problem = best.problem
     numbers = problem.deviations(best.y)  # to first order: their products are small where a machine is known
-    effects = problem.with_nominal([*best.effects, *counted_deviations(problem, numbers)])
+    effects = problem.with_nominal([*best.effects, *deviation_effects(problem, numbers)])
     series = problem.balances.time_series(problem.balances.residual(effects)) - problem.jumped(numbers)
     return np.asarray(series[:, problem.readings.valid])
 
