@@ -27,8 +27,7 @@ CONVERGED = 0.1  # what they explain changes by less than this energy
 def deviation_effects(problem: Problem, deviations: np.ndarray) -> list[Planned]:
     """Deviations (numbers,) of the nominal numbers beside which what is left is counted, as effects that a
     model can hold: all but those of friction that the model claims (`NominalNumber.claims_friction`)."""
-    counted = _as_effects(problem)
-    return _effects(problem, np.where(counted, deviations, 0.0))
+    return _effects(problem, np.where(_as_effects(problem), deviations, 0.0))
 
 
 def every_deviation(problem: Problem, deviations: np.ndarray) -> list[Planned]:

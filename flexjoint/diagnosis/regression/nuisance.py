@@ -55,8 +55,8 @@ class NominalNumber(Parameter):
 
     @property
     def claims_friction(self) -> bool:
-        """Whether it is of ordinary friction that the model claims. Where that is off by more than a background
-        it is named, whatever its tolerance (verdict/joints): what is left is counted beside the claim."""
+        """Whether it is of ordinary friction that the model claims: off by more than a background, that is
+        named whatever its tolerance (verdict/joints), and what is left is counted beside the claim."""
         return bool(self.of) and catalogue()[self.name].ordinary
 
     @property
