@@ -314,6 +314,12 @@ class RegressionSettings(Stage):
     position_deviation: float = number(
         0.5, "m", "weak prior of components of a position that the data do not show", "judgement"
     )
+    torque_deviation: float = number(
+        1.0,
+        "joint's RMS torque",
+        "weak prior of the torque of an effect: an error is hardly larger than all torque of its joint",
+        "judgement; without it a breakaway friction that two seconds of the KR300 hardly show ended at its bound",
+    )
     offset_deviation: float = number(
         0.2, "rad", "prior of an encoder offset that is free in each recording", "judgement"
     )

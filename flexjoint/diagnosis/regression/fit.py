@@ -319,23 +319,35 @@ def normal_equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     normal, slope = problem.normal(jacobian, y)
     for k, slot in enumerate(slots):
-        value, first = weak_prior(slot, effects, problem.settings.regression)
+        value, first = _weak(problem, slot, effects)
         normal[k, k] += first**2
         slope[k] += first * value
     return normal, slope
 
 
 def _prior(problem: Problem, slots: Sequence[Slot], effects: Sequence[Planned]) -> float:
-    settings = problem.settings.regression
-    return sum(weak_prior(slot, effects, settings)[0] ** 2 for slot in slots)
+    return sum(_weak(problem, slot, effects)[0] ** 2 for slot in slots)
 
 
-def weak_prior(slot: Slot, effects: Sequence[Planned], settings: RegressionSettings) -> tuple[float, float]:
+def _weak(problem: Problem, slot: Slot, effects: Sequence[Planned]) -> tuple[float, float]:
+    joint = effects[slot.effect].joint
+    torque = np.inf if joint is None else float(problem.torque_scale[problem.robot.joint_names.index(joint)])
+    return weak_prior(slot, effects, problem.settings.regression, torque)
+
+
+def weak_prior(
+    slot: Slot, effects: Sequence[Planned], settings: RegressionSettings, torque: float = np.inf
+) -> tuple[float, float]:
     """Distance of a number from a plausible value, in weak prior deviations, and its derivative: a factor is
-    rarely off by more than two, and a position lies within reach."""
+    rarely off by more than two, a position lies within reach, and a torque error is hardly larger than the
+    joint's RMS `torque` [N m]: where few samples show how fast a friction wears off, they do not show that
+    it began with a multiple of that."""
     number, param = slot.get(effects), slot.param
     if param.unit == "m":
         return number / settings.position_deviation, 1.0 / settings.position_deviation
+    if param.unit == "N m" and param.null == 0.0:
+        deviation = settings.torque_deviation * torque
+        return number / deviation, 1.0 / deviation
     if param.unit == "1" and param.low < 0.0 and param.null == 0.0:
         factor = max(1.0 + number, 1e-3)
         return float(np.log(factor)) / settings.factor_deviation, 1.0 / (factor * settings.factor_deviation)

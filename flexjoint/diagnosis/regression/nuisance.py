@@ -112,7 +112,7 @@ def as_effects(
             continue
         if number.of and deviation:
             (param,) = (p for p in claimed[key].effect.params if p.name == number.of)
-            value = claimed[key].values[param.name] * (1.0 + max(-0.9, float(deviation) * number.std))
+            value = claimed[key].values[param.name] * (1.0 + float(deviation) * number.std)
             changed[key] = changed.get(key, claimed[key]).with_values(
                 {param.name: float(np.clip(value, param.low, param.high))}
             )
