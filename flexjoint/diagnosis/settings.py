@@ -318,7 +318,7 @@ class RegressionSettings(Stage):
         1.0,
         "joint's RMS torque",
         "weak prior of the torque of an effect: an error is hardly larger than all torque of its joint",
-        "judgement; without it a breakaway friction that two seconds of the KR300 hardly show ended at its bound",
+        "judgement; without it a breakaway friction that few samples show ended at its bound",
     )
     offset_deviation: float = number(
         0.2, "rad", "prior of an encoder offset that is free in each recording", "judgement"
