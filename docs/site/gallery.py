@@ -24,7 +24,7 @@ from flexjoint_benchmark.planting.sizes import usual_effect
 from matplotlib.figure import Figure
 
 import flexjoint as fj
-from flexjoint.cli.robots.effects import SITES, summary
+from flexjoint.cli.robots.effects import SITES, summary, typical_sizes
 from flexjoint.diagnosis.result.wording import effect_name, number, unit_of
 from flexjoint.effects import Effect, Site
 from flexjoint.report.plots import AFTER, BEFORE, STYLE
@@ -56,10 +56,12 @@ the same motion with and without the effect, of the size that
 [the study](docs/studies/diagnosis_study.md) plants. Left: the residual of the torque balance in which it
 shows most, over the signal that it depends on (the nominal model's is zero). Right: how far the link
 goes astray in the simulation. The smallest sizes are of one machine, one motion and one draw of the noise
-each, on robots whose files trust their numbers to 2 %: what lies within that is no finding. Sizes on real
-machines are those that the sources of [shipped robots](docs/reference/robots.md) with recordings state, and
-those that the KR300's [stored diagnosis](docs/studies/real_machines.md) found; the sizes here are the
-study's, a judgement. Definitions, ranges and defaults: [effects](docs/reference/effects.md).
+each, on robots whose files trust their numbers to 2 %: what lies within that is no finding. Typical sizes
+are those that makers of parts and published identifications state, each with a link; an effect for which no
+such source was found has none. Sizes on real machines are those that the sources of
+[shipped robots](docs/reference/robots.md) with recordings state, and those that the KR300's
+[stored diagnosis](docs/studies/real_machines.md) found; the sizes here are the study's, a judgement.
+Definitions, ranges and defaults: [effects](docs/reference/effects.md).
 """
 
 
@@ -91,6 +93,7 @@ def _card(effect: Effect, folder: Path) -> str:
         f"{k} {_number(v)} {units.get(k, '').replace('1', '')}".strip() for k, v in planted.items()
     )
     lines.append(f"Here: {size}. Reference: {effect.reference or 'none'}.")
+    lines.append(typical_sizes(effect))
     lines.append(" ".join([*_real(effect), *_alike(effect), *_study(effect.name), *_smallest(effect)]))
     return "\n\n".join(line for line in lines if line)
 

@@ -1,7 +1,17 @@
 """The physical effects: one small class in one file each, and the catalogue of them by name."""
 
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import SENSOR_CHANNELS, Drive, Effect, Kind, Signals, Site, Word
+from flexjoint.effects._base import (
+    SENSOR_CHANNELS,
+    Drive,
+    Effect,
+    Kind,
+    Signals,
+    Site,
+    Source,
+    Typical,
+    Word,
+)
 from flexjoint.effects._catalogue import Planned, catalogue, effect, find, numbers_beyond, signal_order
 
 __all__ = [
@@ -13,6 +23,8 @@ __all__ = [
     "Planned",
     "Signals",
     "Site",
+    "Source",
+    "Typical",
     "Word",
     "catalogue",
     "effect",

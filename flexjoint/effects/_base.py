@@ -58,6 +58,22 @@ class Word:
     value: str | None
 
 
+@dataclass(frozen=True)
+class Source:
+    """Who states a typical size, and where that can be read."""
+
+    name: str
+    address: str
+
+
+@dataclass(frozen=True)
+class Typical:
+    """A size that an effect has on a real machine or part: units that its maker uses, and SI."""
+
+    size: str
+    source: Source
+
+
 @dataclass(slots=True)
 class Signals:
     """What a law may see, of one joint: at one instant, or over a whole recording (arrays alike).
@@ -109,6 +125,7 @@ class Effect:
     law: ClassVar[str] = ""  # LaTeX
     against: ClassVar[str] = "t"  # the signal its residual is plotted against
     reference: ClassVar[str] = ""
+    typical: ClassVar[tuple[Typical, ...]] = ()  # empty where no source was found that states one
     states: ClassVar[tuple[float, ...]] = ()  # initial values of the internal states
     whole_robot: ClassVar[bool] = False  # acts on the robot, not on a joint (`joint` is null)
     max_delay: ClassVar[float] = 0.0

@@ -7,7 +7,8 @@ import numpy as np
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Signals, Site
+from flexjoint.effects._base import Effect, Signals, Site, Source, Typical
+from flexjoint.effects._sources import DYNAMIXEL, HARMONIC_DRIVE, TWO_STAGES
 from flexjoint.effects._starts import grid
 
 
@@ -18,6 +19,18 @@ class Backlash(Effect):
     law = r"\phi - \operatorname{clip}(\phi, \pm g/2)"
     params = (Parameter("gap", "rad", "g", value=1e-3, low=0.0, high=0.5),)
     needs_spring = True
+    typical = (
+        Typical("lost motion below 1 arcmin (0.29 mrad)", HARMONIC_DRIVE),
+        Typical(
+            "at most 3 arcmin (0.87 mrad), 1 arcmin in the reduced version",
+            Source(
+                "Beckhoff, data of the TP010 planetary gear",
+                "https://infosys.beckhoff.com/content/1033/ag2400_ba/8995369483.html",
+            ),
+        ),
+        Typical("at most 8 arcmin (2.3 mrad) with one stage, 10 arcmin (2.9 mrad) with two", TWO_STAGES),
+        Typical("20 arcmin (5.8 mrad)", DYNAMIXEL),
+    )
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
         return x - ops.clip(x, -0.5 * p.gap, 0.5 * p.gap)

@@ -4,7 +4,7 @@ from typing import Any
 
 from flexjoint.core import ops
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Kind, Site
+from flexjoint.effects._base import Effect, Kind, Site, Source, Typical
 
 
 class BaseTilt(Effect):
@@ -17,6 +17,15 @@ class BaseTilt(Effect):
         Parameter("pitch", "rad", r"\beta", value=0.0, low=-3.2, high=3.2),
     )
     whole_robot = True
+    typical = (
+        Typical(
+            "at most 0.5 mm/m (0.5 mrad) along and 0.1 mm/m across, under a robot's track",
+            Source(
+                "ABB, manual of the track IRBT 4003S, page 35",
+                "https://www.easymanua.ls/abb/irbt-4003s/manual?p=35",
+            ),
+        ),
+    )
 
     def edit_gravity(self, gravity: Any, p: Any) -> Any:
         gx, gy, gz = gravity

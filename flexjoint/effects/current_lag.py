@@ -7,7 +7,7 @@ import numpy as np
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Kind, Signals, Site
+from flexjoint.effects._base import Effect, Kind, Signals, Site, Source, Typical
 from flexjoint.effects._starts import grid
 
 SHORTEST = 1e-7  # s, below which a lag is none
@@ -29,6 +29,15 @@ class CurrentLag(Effect):
     params = (Parameter("time_constant", "s", "T", value=2e-3, low=0.0, high=0.5),)
     states = (0.0,)
     known_as = ("torque_delay",)
+    typical = (
+        Typical(
+            "1 ms: the default bandwidth is 1000 rad/s",
+            Source(
+                "ODrive, firmware",
+                "https://github.com/odriverobotics/ODrive/blob/2f3caed8516c92049ac3224e724edf91878b9bff/Firmware/MotorControl/motor.hpp",
+            ),
+        ),
+    )
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:
         return z - s.tau_m

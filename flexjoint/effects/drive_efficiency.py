@@ -5,7 +5,8 @@ from typing import Any
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Signals, Site
+from flexjoint.effects._base import Effect, Signals, Site, Source, Typical
+from flexjoint.effects._sources import TWO_STAGES
 
 
 class DriveEfficiency(Effect):
@@ -27,6 +28,16 @@ class DriveEfficiency(Effect):
     )
     contains = ("load_friction",)
     alike = ("loss_driving", "loss_backdriving")
+    typical = (
+        Typical("efficiency 97 % with one stage, 95 % with two: loss_driving 0.03 and 0.05", TWO_STAGES),
+        Typical(
+            "efficiency 94 % with two stages, 92 % with three: loss_driving 0.06 and 0.09",
+            Source(
+                "Beckhoff, data of the TP050 planetary gear",
+                "https://infosys.beckhoff.com/content/1033/ag2400_ba/9001045515.html",
+            ),
+        ),
+    )
 
     def level(self, s: Signals, p: Any, z: Value) -> Value:
         direction = ops.where(s.dtheta == 0.0, s.tau_m - s.tau_t, s.dtheta)

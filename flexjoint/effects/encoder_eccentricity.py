@@ -5,7 +5,7 @@ from typing import Any
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Kind, Signals, Site, Word
+from flexjoint.effects._base import Effect, Kind, Signals, Site, Source, Typical, Word
 from flexjoint.effects._starts import PHASES, grid
 
 
@@ -20,6 +20,15 @@ class EncoderEccentricity(Effect):
         Parameter("phase", "rad", r"\psi", value=0.0, low=-7.0, high=7.0, null=None, wraps=True),
     )
     words = (Word("channel", ("q", "theta"), "q"),)
+    typical = (
+        Typical(
+            "0.18 to 0.38 deg (3.1 to 6.7 mrad), a ring 0.1 mm off its axis, read at a radius of 32 to 15 mm",
+            Source(
+                "Synapticon, manual of SOMANET Circulo, page 117",
+                "https://manualshive.com/en/manual/synapticon/somanet-circulo-7/1420513?page=117",
+            ),
+        ),
+    )
 
     def channels(self, p: Any) -> tuple[str, ...]:
         return (p.channel,)

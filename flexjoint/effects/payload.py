@@ -3,7 +3,7 @@
 from typing import Any
 
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Site
+from flexjoint.effects._base import Effect, Site, Source, Typical
 
 
 class Payload(Effect):
@@ -14,6 +14,15 @@ class Payload(Effect):
     params = (
         Parameter("mass", "kg", "m", value=0.1, low=-1e3, high=1e4),
         Parameter("position", "m", "r", value=0.0, low=-20.0, high=20.0, null=None, size=3),
+    )
+    typical = (
+        Typical(
+            "at most 1.1 kg at full reach and 4 kg at mid-range, held for long",
+            Source(
+                "Kinova, user guide of the Gen3, page 16",
+                "https://manualshive.com/en/manual/kinova/gen3/1971410?page=16",
+            ),
+        ),
     )
 
     def edit_inertial(self, inertial: Any, p: Any) -> Any:

@@ -7,7 +7,7 @@ import numpy as np
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Signals, Site
+from flexjoint.effects._base import Effect, Signals, Site, Source, Typical
 from flexjoint.effects._starts import grid
 
 
@@ -17,6 +17,14 @@ class TorqueSaturation(Effect):
     site, against, reference = Site.COMMAND, "tau_m", "Khalil 2002, section 1.2.7 (saturation)"
     law = r"\tau = \operatorname{clip}(\tau_m, \pm L)"
     params = (Parameter("limit", "N m", "L", value=20.0, low=0.0, high=1e6, null=1e6),)
+    typical = (
+        Typical(
+            "87 N m at joints 1 to 4, 12 N m at joints 5 to 7",
+            Source(
+                "Franka, limits of the Panda", "https://frankaemika.github.io/docs/control_parameters.html"
+            ),
+        ),
+    )
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
         return ops.clip(x, -p.limit, p.limit)

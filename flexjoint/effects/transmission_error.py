@@ -5,7 +5,8 @@ from typing import Any
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Signals, Site
+from flexjoint.effects._base import Effect, Signals, Site, Typical
+from flexjoint.effects._sources import HARMONIC_DRIVE
 from flexjoint.effects._starts import PHASES, grid, ripple_cycles, whole_cycles
 
 
@@ -23,6 +24,12 @@ class TransmissionError(Effect):
         Parameter("phase", "rad", r"\psi", value=0.0, low=-7.0, high=7.0, null=None, wraps=True),
     )
     needs_spring = True
+    typical = (
+        Typical(
+            "two amplitudes, highest to lowest: less than 0.5 to 2 arcmin (0.15 to 0.58 mrad)",
+            HARMONIC_DRIVE,
+        ),
+    )
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
         return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)

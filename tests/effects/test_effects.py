@@ -190,6 +190,15 @@ def test_declares_itself(effect: Effect) -> None:
 
 
 @every_effect
+def test_typical_sizes_have_sources(effect: Effect) -> None:
+    for one in effect.typical:
+        assert any(letter.isdigit() for letter in one.size) and not one.size.endswith(".")
+        assert one.source.name and one.source.address.startswith("https://")
+        assert not set("[]() ") & set(one.source.address)  # it is a link's target in Markdown
+    assert len(set(effect.typical)) == len(effect.typical)
+
+
+@every_effect
 def test_sensor_channels(effect: Effect) -> None:
     for values in [{w.name: c} for w in effect.words for c in w.choices] or [{}]:
         channels = effect.channels(effect.parameters(values))

@@ -60,6 +60,12 @@ def summary(effect: Effect) -> str:
     return " ".join((type(effect).__doc__ or "").split())
 
 
+def typical_sizes(effect: Effect) -> str:
+    """Its sizes on real machines and parts, each with a link to who states it; empty where none is known."""
+    stated = (f"{one.size} ([{one.source.name}]({one.source.address}))" for one in effect.typical)
+    return f"Typical sizes: {'; '.join(stated)}." if effect.typical else ""
+
+
 def _by_site() -> Iterator[tuple[Site, list[Effect]]]:
     for site in SITES:
         effects = [effect for effect in catalogue().values() if effect.site is site]
@@ -86,6 +92,8 @@ def _entry(effect: Effect) -> str:
     if effect.contains:
         lines.append(f" Contains {', '.join(effect.contains)} as a special case.")
     lines.append(f" Reference: {effect.reference}.\n")
+    if effect.typical:
+        lines.append(f"\n{typical_sizes(effect)}\n")
     return "".join(lines)
 
 

@@ -66,6 +66,9 @@ def test_the_gallery_tells_each_effect_s_law_size_and_fate(tmp_path: Path) -> No
     gallery["_card"](effect, tmp_path)
     assert picture.stat().st_mtime_ns == drawn  # kept, as nothing changed
     assert "On real machines: gap 6e-05 rad stated of the kr300." in card
+    assert effect.typical and gallery["typical_sizes"](fj.catalogue()["end_stop"]) == ""
+    for one in effect.typical:
+        assert f"{one.size} ([{one.source.name}]({one.source.address}))" in card
     assert "No other effect is the same" in card and "Named in its place: " in card
     found = gallery["_real"](fj.catalogue()["sensor_delay"])
     assert found == ["On real machines: delay 0.00305 s found on the kr300."]
