@@ -317,7 +317,7 @@ class RegressionSettings(Stage):
     torque_deviation: float = number(
         1.0,
         "joint's RMS torque",
-        "weak prior of the torque of an effect: an error is hardly larger than all torque of its joint",
+        "weak prior of the level of a friction or a ripple: hardly larger than all torque of its joint",
         "judgement; without it a breakaway friction that few samples show ended at its bound",
     )
     offset_deviation: float = number(

@@ -25,7 +25,7 @@ def problem() -> Problem:
     return Problem(balances_of(nominal("lever"), recorded))
 
 
-def test_a_torque_error_is_hardly_larger_than_all_torque_of_its_joint(problem: Problem) -> None:
+def test_a_friction_is_hardly_larger_than_all_torque_of_its_joint(problem: Problem) -> None:
     (torque,) = problem.torque_scale
     usual, huge = (fit(problem, [_worn(k * torque)], iterations=0) for k in (0.1, 10.0))
 
@@ -44,9 +44,10 @@ def test_the_prior_moves_no_number_that_the_data_show(problem: Problem) -> None:
     assert fitted.effects[0].values["level"] == pytest.approx(2.0, rel=1e-3)
 
 
-def test_limits_of_a_torque_have_no_such_prior() -> None:
-    """A limit does nothing where it is large."""
-    planned = effect("torque_saturation", "swing", limit=500.0)
+@pytest.mark.parametrize(("name", "param"), [("torque_saturation", "limit"), ("spring_preload", "torque")])
+def test_other_torques_have_no_such_prior(name: str, param: str) -> None:
+    """A limit does nothing where it is large; and an encoder offset that a preload is the same as has none."""
+    planned = effect(name, "swing", **{param: 500.0})
     slot = Slot(0, planned.effect.params[0], 0)
 
     assert weak_prior(slot, [planned], USUAL.regression, 10.0) == (0.0, 0.0)
