@@ -46,7 +46,7 @@ def test_the_prior_moves_no_number_that_the_data_show(problem: Problem) -> None:
 
 @pytest.mark.parametrize(("name", "param"), [("torque_saturation", "limit"), ("spring_preload", "torque")])
 def test_other_torques_have_no_such_prior(name: str, param: str) -> None:
-    """A limit does nothing where it is large; and an encoder offset that a preload is the same as has none."""
+    """A limit does nothing where it is large; an encoder offset, which equals a preload, has none."""
     planned = effect(name, "swing", **{param: 500.0})
     slot = Slot(0, planned.effect.params[0], 0)
 
