@@ -35,7 +35,7 @@ class RecordingLimits:
 
 @dataclass(frozen=True)
 class RobotFileLimits:
-    """A robot file (YAML)."""
+    """A robot file, and the mapping of a log (YAML)."""
 
     file_bytes: int = limit(1_000_000, "bytes", "a hundred times the largest shipped one")
     nodes: int = limit(20_000, "values", "aliases counted as what they stand for: 400 joints of 50 values")
