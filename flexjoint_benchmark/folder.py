@@ -22,6 +22,7 @@ from flexjoint_benchmark.cases import EVERY, PARTS, drawn
 from flexjoint_benchmark.planting.catalogue import law
 from flexjoint_benchmark.planting.robots import robot_file
 
+LARGEST = 100_000_000  # bytes of a JSON: answers to ten thousand cases
 CASES, TRUTH = "cases.json", "truth.sealed"
 SEAL = "flexjoint benchmark truth: read it to score answers, and not before\n"
 README = """# A benchmark of diagnoses
@@ -88,28 +89,46 @@ def cases(folder: Path) -> dict[str, Any]:
     content = read_json(folder / CASES)
     if content.get("schema") != SCHEMA or not isinstance(content.get("cases"), dict):
         raise BenchmarkError(f"{folder / CASES} is no list of cases of schema {SCHEMA}; make the folder anew")
+    whole = isinstance(content.get("effects"), dict) and all(map(_is_case, content["cases"].values()))
+    if not whole:
+        raise BenchmarkError(
+            f"{folder / CASES} lacks effects, or a robot, recording or joints of a case; make it anew"
+        )
     return content
+
+
+def _is_case(entry: Any) -> bool:
+    if not isinstance(entry, dict) or not isinstance(entry.get("joints"), list):
+        return False
+    return all(
+        isinstance(text, str) for text in (entry.get("robot"), entry.get("recording"), *entry["joints"])
+    )
 
 
 def truth(folder: Path) -> dict[str, Any]:
     """What is true, by case; breaks the seal."""
     path = folder / TRUTH
     try:
-        text = path.read_text()
-        content = json.loads(zlib.decompress(base64.b64decode(text.removeprefix(SEAL))))
+        packed = base64.b64decode(path.read_text().removeprefix(SEAL))
+        content = json.loads(zlib.decompressobj().decompress(packed, LARGEST))
+        true: dict[str, Any] = content["cases"]
     except OSError as error:
         raise BenchmarkError(f"cannot read {path}: {error.strerror}") from None
-    except (ValueError, zlib.error):
+    except (ValueError, LookupError, TypeError, RecursionError, zlib.error):
         raise BenchmarkError(f"{path} is damaged; make the folder anew") from None
-    return content["cases"]
+    return true
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """An object in a JSON file; raises BenchmarkError."""
     try:
-        content = json.loads(path.read_text())
+        if path.stat().st_size > LARGEST:
+            raise BenchmarkError(f"{path} has more than {LARGEST} bytes; expected a list of cases or answers")
+        content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BenchmarkError(f"cannot read {path}: {error.strerror}") from None
+    except RecursionError:
+        raise BenchmarkError(f"{path} is nested too deeply; docs/studies/benchmark.md has its form") from None
     except ValueError as error:
         raise BenchmarkError(f"{path} is no JSON: {error}") from None
     if not isinstance(content, dict):

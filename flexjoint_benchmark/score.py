@@ -148,6 +148,9 @@ def _check(where: str, finding: Any, joints: Sequence[str], effects: Mapping[str
         raise BenchmarkError(f"{where}: a probability lies between 0 and 1, got {probability!r}")
     if not isinstance(finding.get("parameters", {}), dict):
         raise BenchmarkError(f'{where}: "parameters" are an object of names and {{"value": ..., "std": ...}}')
+    tied = finding.get("indistinguishable", [])
+    if not isinstance(tied, list) or not all(isinstance(one, dict) for one in tied):
+        raise BenchmarkError(f'{where}: "indistinguishable" is a list of {{"effect": ..., "joint": ...}}')
 
 
 def _names(answer: Entry) -> list[Entry]:
@@ -162,8 +165,8 @@ def _row(part: str, true: Mapping[str, Entry], said: Mapping[str, Entry]) -> Row
     for name, t in true.items():
         answer = said.get(name, {"findings": []})
         answered += name in said
-        if isinstance(answer.get("seconds"), int | float):
-            seconds.append(float(answer["seconds"]))
+        told = _finite(answer.get("seconds"))
+        seconds += [] if told is None else [told]
         wanted = [entry for entry in t["truth"] if entry.get("large", True)]
         named = _names(answer)
         wrong = [f for f in named if not _stands(f, t)]
@@ -216,8 +219,15 @@ def _main(planted: Entry) -> str:
 
 def _value(finding: Entry, name: str) -> float | None:
     told = finding.get("parameters", {}).get(name)
-    value = told.get("value") if isinstance(told, dict) else told
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+    return _finite(told.get("value") if isinstance(told, dict) else told)
+
+
+def _finite(value: Any) -> float | None:
+    try:
+        number = float(value) if isinstance(value, int | float) else math.nan
+    except OverflowError:  # a whole number of hundreds of digits
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _size_error(finding: Entry, planted: Entry) -> float | None:

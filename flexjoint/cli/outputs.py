@@ -15,7 +15,7 @@ from rich.text import Text
 
 from flexjoint import report
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.files import check_suffix, write_json, write_text
+from flexjoint.core.files import all_or_none, check_folder, check_suffix, write_json, write_text
 from flexjoint.diagnosis.comparison.compare import Comparison, compare
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.recording.table import Recording
@@ -57,13 +57,14 @@ class Asked:
             return str(self.model)
 
     def write(self, diagnosis: Mapping[str, Any], page: str | None, extended: Robot) -> None:
-        """Write the files that were asked for; the model's YAML first, as the JSON names it."""
-        if self.model is not None:
-            robot.write(extended, self.model)
-        if self.report is not None and page is not None:
-            write_text(self.report, page)
-        if self.json is not None:
-            write_json(self.json, diagnosis)
+        """Write the files that were asked for, all or none; the model's YAML first, as the JSON names it."""
+        with all_or_none():
+            if self.model is not None:
+                robot.write(extended, self.model)
+            if self.report is not None and page is not None:
+                write_text(self.report, page)
+            if self.json is not None:
+                write_json(self.json, diagnosis)
 
 
 def check_place(path: Path, suffixes: Sequence[str], inputs: Sequence[Path] = ()) -> None:
@@ -73,11 +74,7 @@ def check_place(path: Path, suffixes: Sequence[str], inputs: Sequence[Path] = ()
         raise FlexJointError(f"cannot write {path}: it is a folder; give the name of a file")
     if path.exists() and any(item.exists() and path.samefile(item) for item in inputs):
         raise FlexJointError(f"cannot write {path}: it is an input; give another name")
-    folder = path.absolute().parent
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent  # missing folders are made
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise FlexJointError(f"cannot write {path}: no file can be made in {folder}; choose another place")
+    check_folder(path, path.parent)
 
 
 def page(diagnosis: Diagnosis, nominal: Robot, extended: Robot, recording: Recording) -> str:

@@ -6,22 +6,25 @@ import contextlib
 import json
 import math
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Any
 
 from flexjoint.core.errors import FlexJointError
 
 PREFIX = 40  # characters of a name that its temporary file takes over: names have an end
-_unfinished: set[str] = set()  # temporary files that are being written
+_unfinished: set[str] = set()  # temporary files and folders that are being written
+_held: ContextVar[list[tuple[str, Path]] | None] = ContextVar("held", default=None)  # whole, yet unnamed
 
 
 def remove_unfinished() -> None:
     """Remove what is half written, before the process ends without unwinding."""
     for temporary in list(_unfinished):
         with contextlib.suppress(OSError):
-            os.unlink(temporary)
+            _remove(temporary)
 
 
 def read_text(path: Path, most: int) -> str:
@@ -68,6 +71,15 @@ def check_suffix(path: Path, suffixes: Sequence[str]) -> None:
         )
 
 
+def check_folder(path: Path, folder: Path) -> None:
+    """Raise FlexJointError unless `path` could be written in a folder, which is made where it is missing."""
+    folder = folder.absolute()
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise FlexJointError(f"cannot write {path}: no file can be made in {folder}; choose another place")
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file whole or not at all; raises FlexJointError when the place cannot be written."""
     with whole_file(path) as file:
@@ -79,20 +91,84 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
     """A file to write piece by piece, which appears under its name when all is written, or not at all.
 
     Raises FlexJointError when the place cannot be written."""
-    try:
+    held = _held.get()
+    with _as_refusal(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:PREFIX]}.")
-    except OSError as error:
-        raise FlexJointError(f"cannot write {path}: {error.strerror or error}") from None
     _unfinished.add(temporary)
     try:
-        with os.fdopen(handle, "wb") as file:
-            yield file
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
+        with _as_refusal(path):
+            with os.fdopen(handle, "wb") as file:
+                yield file
+            os.chmod(temporary, 0o644)
+            if held is None:
+                os.replace(temporary, path)
+            else:
+                held.append((temporary, path))
+    finally:
+        if held is None or (temporary, path) not in held:
+            _remove(temporary)
+
+
+@contextlib.contextmanager
+def all_or_none() -> Iterator[None]:
+    """Files written within appear together when the last one is whole; where one fails, none does. Within
+    another one they appear with that one's.
+
+    Raises FlexJointError when one of the places cannot be written."""
+    if _held.get() is not None:
+        yield
+        return
+    held: list[tuple[str, Path]] = []
+    before = _held.set(held)
+    try:
+        yield
+        for temporary, path in held:
+            with _as_refusal(path):
+                os.replace(temporary, path)
+    finally:
+        _held.reset(before)
+        for temporary, _ in held:
+            _remove(temporary)
+
+
+@contextlib.contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A new folder to write into, which appears under its name when all is written, or not at all.
+
+    Raises FlexJointError when the place cannot be written, or holds something."""
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise FlexJointError(f"{path} is not empty; give the name of a new folder")
+    if path.is_mount():
+        raise FlexJointError(f"cannot write {path}: it is a disk of its own; give a new folder in it")
+    check_folder(path, path.parent)
+    with _as_refusal(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name[:PREFIX]}.")
+    _unfinished.add(temporary)
+    try:
+        with _as_refusal(path):
+            yield Path(temporary)
+            os.chmod(temporary, 0o755)
+            if path.exists():  # and empty
+                path.rmdir()
+            os.replace(temporary, path)
+    finally:
+        _remove(temporary)
+
+
+@contextlib.contextmanager
+def _as_refusal(path: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise FlexJointError(f"cannot write {path}: {error.strerror or error}") from None
-    finally:
+
+
+def _remove(temporary: str) -> None:
+    if os.path.isdir(temporary):
+        shutil.rmtree(temporary, ignore_errors=True)
+    else:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
-        _unfinished.discard(temporary)
+    _unfinished.discard(temporary)

@@ -35,7 +35,7 @@ class RecordingLimits:
 
 @dataclass(frozen=True)
 class RobotFileLimits:
-    """A robot file (YAML)."""
+    """A robot file, and the mapping of a log (YAML)."""
 
     file_bytes: int = limit(1_000_000, "bytes", "a hundred times the largest shipped one")
     nodes: int = limit(20_000, "values", "aliases counted as what they stand for: 400 joints of 50 values")
@@ -60,6 +60,11 @@ class DescriptionLimits:
     chain: int = limit(200, "joints in a row", "parsers recurse on it; a hand on a humanoid has 15")
     text: int = limit(10_000, "characters of an attribute", "a mesh's path, or a row of numbers")
     number: float = limit(1e12, "SI units", "of masses, inertias, places and axes")
+    mesh_bytes: int = limit(
+        30_000_000,
+        "bytes of a mesh",
+        "the largest of example-robot-data has 28.8e6; ten times as many hang",
+    )
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,10 @@ class _Work:
     def done(self, units: Sequence[Unit], what: str) -> dict[str, Content]:
         results = {unit.key: self.store.get(unit.key) for unit in units}
         missing = list({unit.key: unit for unit in units if results[unit.key] is None}.values())
-        for k, result in enumerate(self.runner(missing) if missing else ()):
+        if not missing:
+            return {key: result for key, result in results.items() if result is not None}
+        self.report(0.0, what)  # the first one may take minutes
+        for k, result in enumerate(self.runner(missing)):
             if not result.get("died"):
                 self.store.put(result)
             results[result["key"]] = result

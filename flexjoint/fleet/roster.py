@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -152,4 +153,5 @@ def _time_of(path: Path) -> float:
             return datetime(year, month, day, hour, minute, tzinfo=UTC).timestamp()
         except ValueError:
             pass  # digits that are no date
-    return path.stat().st_mtime if path.exists() else 0.0
+    # no file is seen under a name that no disk takes, either, where Path.exists raises
+    return path.stat().st_mtime if os.path.exists(path) else 0.0

@@ -125,7 +125,7 @@ class Store:
         """The result of a unit; None where it was not done, or its file is damaged."""
         try:
             content = json.loads((self._folder / f"{key}.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return None
         return content if isinstance(content, dict) and content.get("key") == key else None
 

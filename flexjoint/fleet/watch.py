@@ -10,7 +10,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.files import write_bytes, write_json, write_text
+from flexjoint.core.files import all_or_none, check_folder, write_bytes, write_json, write_text
 from flexjoint.core.running.worker_pool import workers_of
 from flexjoint.fleet import page
 from flexjoint.fleet import roster as rosters
@@ -54,6 +54,7 @@ def watch(
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise FlexJointError(f"cannot write results into {folder}: it is a file; give a folder")
+    check_folder(folder, folder)
     roster = rosters.read(Path(source), None if robot is None else Path(robot))
     robots = {path: load(path) for path in dict.fromkeys(entry.robot for entry in roster.entries)}
     runner = (
@@ -74,7 +75,8 @@ def watch(
     )
     sink = pa.BufferOutputStream()
     parquet.write_table(fleet.table(), sink)
-    write_bytes(folder / TABLE, sink.getvalue().to_pybytes())
-    write_text(folder / PAGE, page.html(fleet))
-    write_json(folder / FOUND, fleet.to_json())
+    with all_or_none():
+        write_bytes(folder / TABLE, sink.getvalue().to_pybytes())
+        write_text(folder / PAGE, page.html(fleet))
+        write_json(folder / FOUND, fleet.to_json())
     return fleet

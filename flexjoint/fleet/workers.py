@@ -3,13 +3,15 @@ the unit that it had, which is tried again."""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from itertools import islice
-from multiprocessing import get_context
+from multiprocessing import forkserver, get_context, resource_tracker
 from typing import Any
 
 from flexjoint.core.errors import FlexJointError, MissingExtraError
@@ -81,12 +83,30 @@ def _alone(unit: Unit, restarts: int) -> Result:
     return died(unit)
 
 
-def _pool(workers: int) -> ProcessPoolExecutor:
-    if sys.platform != "linux":
-        return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-    context = get_context("forkserver")  # imports what takes long once, and has no threads when it forks
-    context.set_forkserver_preload(["flexjoint.fleet.units"])
-    return ProcessPoolExecutor(workers, mp_context=context)
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """A pool of processes, which are killed where nobody waits for their results any more."""
+    context = get_context("forkserver" if sys.platform == "linux" else "spawn")
+    if sys.platform == "linux":  # a server imports what takes long once, and has no threads when it forks
+        context.set_forkserver_preload(["flexjoint.fleet.units"])
+        resource_tracker.ensure_running()  # which the server starts, too, and unblocks signals with
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            forkserver.ensure_running()  # it and its workers leave Ctrl-C, which all of a terminal get, to us
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        try:
+            yield pool
+        except BaseException:
+            # the server first: it may be importing yet, and would start workers after us
+            server = getattr(forkserver._forkserver, "_forkserver_pid", None)
+            if sys.platform == "linux" and server is not None:
+                with suppress(ProcessLookupError):
+                    os.kill(server, signal.SIGKILL)
+            for process in list(pool._processes.values()):
+                process.kill()
+            raise
 
 
 def cluster(address: str, restarts: int) -> Runner:

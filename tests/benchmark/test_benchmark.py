@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -153,7 +154,14 @@ def test_a_tie_and_an_equivalent_are_right_and_have_no_size(folder: Path) -> Non
             '{"schema": 1, "answers": {"c0001": {"findings": [{"effect": "backlash", "probability": 2}]}}}',
             "between 0 and 1",
         ),
+        (
+            '{"schema": 1, "answers": {"c0001": {"findings":'
+            ' [{"effect": "backlash", "indistinguishable": [1]}]}}}',
+            '"indistinguishable" is a list of',
+        ),
+        ("[" * 100_000, "is nested too deeply"),
     ],
+    ids=range(9),
 )
 def test_answers_that_cannot_be_read_are_refused_in_one_line(
     folder: Path, content: str, said: str, capsys: pytest.CaptureFixture[str]
@@ -164,6 +172,32 @@ def test_answers_that_cannot_be_read_are_refused_in_one_line(
         score(folder, path)
     assert main(["benchmark", "score", str(folder), str(path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_whole_number_of_hundreds_of_digits_is_no_size(folder: Path) -> None:
+    name, true = next((name, t) for name, t in truth(folder).items() if t["part"] == "clean")
+    said = {name: [named(true["truth"][0])]}
+    for number in said[name][0]["parameters"].values():
+        number["value"] = 10**400
+    assert math.isnan(score(folder, answers(folder, said, "huge.json")).rows[0].size_error)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"joints"', '"joint"', "lacks effects, or a robot, recording or joints of a case"),
+        ('"effects"', '"effect"', "lacks effects"),
+        ('"recording"', '"record"', "lacks effects, or a robot, recording"),
+    ],
+)
+def test_a_list_of_cases_that_lacks_something_is_refused(
+    folder: Path, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    text = (folder / "cases.json").read_text()
+    assert old in text
+    (tmp_path / "cases.json").write_text(text.replace(old, new, 1))
+    with pytest.raises(BenchmarkError, match=said):
+        cases(tmp_path)
 
 
 # --- commands ---------------------------------------------------------------------------------------------

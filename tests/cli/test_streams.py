@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -134,6 +135,32 @@ def test_an_interrupt_ends_all(tmp_path: Path) -> None:
     assert seconds < LONGEST_END
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
     assert not out.exists()
+
+
+@pytest.mark.parametrize("later", [0.0, 1.0], ids=["at once", "while they import"])
+def test_an_interrupt_ends_a_fleet(tmp_path: Path, later: float) -> None:
+    """All processes of a terminal get Ctrl-C: workers say nothing of it, and none is left."""
+    for name in ("rec_A", "rec_B"):
+        (tmp_path / "machines" / name).mkdir(parents=True)
+        shutil.copy(KR300 / "recordings" / f"{name}.parquet", tmp_path / "machines" / name)
+    words = ["fleet", tmp_path / "machines", "--robot", "kr300", "--out", tmp_path / "out", "--workers", 2]
+    with subprocess.Popen(
+        [*FLEXJOINT, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=ENVIRONMENT,
+        start_new_session=True,
+    ) as process:
+        waited_for_workers(process.pid)  # the server that forks them, and the tracker of what they share
+        time.sleep(later)
+        begin = time.monotonic()
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=60)  # until the last process has closed them
+        seconds = time.monotonic() - begin
+    assert (process.returncode, out, err) == (130, "", "flexjoint: interrupted\n")
+    assert seconds < LONGEST_END
+    assert not list(tmp_path.rglob(".*"))
 
 
 def test_an_interrupt_ends_compiled_code_too(tmp_path: Path) -> None:

@@ -79,3 +79,9 @@ def test_the_list_of_the_page_is_one(tmp_path: Path) -> None:
     roster = read(tmp_path / "list.csv")
     assert [e.temperature for e in roster.entries] == [21.5, 24.0, 22.0]
     assert [e.text for e in roster.events] == ["gear of the elbow replaced"]
+
+
+def test_a_recording_whose_name_no_disk_takes_is_one_that_is_not_there(tmp_path: Path) -> None:
+    (tmp_path / "list.csv").write_text(f"recording,machine\n{'9' * 400}.csv,a\n")
+    (entry,) = read(tmp_path / "list.csv", tmp_path / "r.yaml").entries
+    assert entry.time == 0.0

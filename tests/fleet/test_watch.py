@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import csv
 import json
+import multiprocessing
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -160,6 +162,31 @@ def test_a_killed_worker_loses_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr("flexjoint.fleet.workers.perform", mortal.perform)
     done = outcome(local(2, 1)(units(tmp_path)))
     assert done == {"k0": False, "k1": False, "k2": False, "k3": True, "k4": False}
+
+
+def test_progress_is_shown_before_the_first_unit_is_done(tmp_path: Path) -> None:
+    said: list[object] = []
+    ours = units(tmp_path)[:2]
+    done = ({"key": unit.key, "seconds": 1.0, "error": ""} for unit in ours)
+    work = campaign._Work(Store(tmp_path), lambda _units: done, lambda *told: said.append(told))
+    assert set(work.done(ours, "checking")) == {"k0", "k1"}
+    assert said == [(0.0, "checking"), (0.5, "checking"), (1.0, "checking")]
+    work.done(ours, "checking")
+    assert len(said) == 3  # what is done already takes no time
+
+
+def test_workers_are_killed_where_nobody_waits_for_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a result cannot be written: who stops asking waits for no unit that is under way."""
+    monkeypatch.setattr("flexjoint.fleet.workers.perform", mortal.perform)
+    kinds = ("never", "slow", "slow", "slow")
+    results = local(2, 1)([Unit(f"k{k}", "check", str(tmp_path), kind) for k, kind in enumerate(kinds)])
+    assert next(results)["key"] == "k0"
+    begin = time.monotonic()
+    results.close()  # type: ignore[attr-defined]
+    assert time.monotonic() - begin < 10.0  # of the minute that a unit takes
+    assert not multiprocessing.active_children()
 
 
 def test_a_dask_cluster_does_the_same_units(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import contextlib
 import io
+import json
+import math
 import warnings
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,12 +27,17 @@ from support.robots.robot_files import MJCF, URDF, content
 from flexjoint.cli.simulation import theta_d
 from flexjoint.core.errors import RobotWarning
 from flexjoint.diagnosis.followup import experiment
+from flexjoint.diagnosis.result.known import known_of
+from flexjoint.fleet import roster
 from flexjoint.recording import table as recording
 from flexjoint.recording.clock import on_regular_clock
 from flexjoint.recording.importing import import_log
 from flexjoint.recording.logs import mapping
 from flexjoint.robot import payload, robot
 from flexjoint.robot.robot import Robot
+from flexjoint_benchmark import BenchmarkError
+from flexjoint_benchmark.folder import SEAL
+from flexjoint_benchmark.score import score
 
 YAML = yaml.safe_dump(content(lock=["wrist"], contacts=[], effects=[{"effect": "backlash", "joint": "elbow", "gap": 0.01}])).encode()  # fmt: skip  # noqa: E501
 TABLE = {
@@ -47,7 +57,26 @@ SDF = """<sdf version="1.9"><model name="arm"><pose>0 0 1 0.1 0 0</pose>
 <axis><xyz expressed_in="mark">0 1 0</xyz><limit><lower>-1</lower><upper>1</upper><effort>30</effort></limit>
 <dynamics><damping>0.1</damping><friction>0.2</friction></dynamics></axis></joint></model></sdf>"""
 POSES = b"time,q.shoulder,q.elbow\n0,0.1,0.2\n1,-0.1,0.3\n2.5,0,1.4\n"
+MAPPING = b"""time: stamp
+time_unit: ms
+joints: [shoulder, elbow]
+rename: {j1: shoulder, j2: elbow}
+angles: deg
+gear_ratio: [100, 50.5]
+torque_constant: {shoulder: 0.1, elbow: 0.2}
+channels: {q: actual_q, current: {from: [c1, c2], unit: A, sign: -1, offset: 0.5}}
+"""
+LIST = b"""recording,machine,robot,time,temperature,event
+a.csv,one,arm.yaml,2026-11-24T06:00,21.5,
+20261125_0700.csv,one,arm.yaml,,,
+,one,,2026-11-26,,new gear
+"""
+CASES = b'{"schema": 1, "seed": 1, "cases": {"c1": {"robot": "r.yaml", "recording": "r.parquet", "joints": ["elbow"]}}, "effects": {"backlash": {"parameters": ["gap"]}}}'  # noqa: E501
+ANSWERS = b'{"schema": 1, "tool": "t", "answers": {"c1": {"findings": [{"effect": "backlash", "joint": "elbow", "probability": 0.9, "parameters": {"gap": {"value": 0.01, "std": 0.001}}, "indistinguishable": [{"effect": "end_stop", "joint": "elbow"}]}], "seconds": 3.2}}}'  # noqa: E501
+TRUTH = {"c1": {"part": "clean", "joints": ["elbow"], "truth": [{"effect": "backlash", "joint": "elbow", "parameters": {"gap": 0.01}}]}}  # fmt: skip  # noqa: E501
 DIAGNOSIS = b'{"schema": 1, "verdict": "causes", "findings": [{"effect": "backlash", "joint": "elbow", "parameters": {"gap": {"value": 0.01}}, "indistinguishable": [{"effect": "end_stop", "joint": "elbow"}]}], "comparison": {"noise_floor": {"rms": {"q.elbow": 0.0001}}}}'  # noqa: E501
+
+KNOWN = b'{"schema": 1, "verdict": "causes", "findings": [{"effect": "backlash", "joint": "elbow", "probability": 0.9, "parameters": {"gap": {"value": 0.01, "std": 0.001}}}], "remaining": [], "level": {"after": 1.5}, "trace": [{"stage": "search"}]}'  # noqa: E501
 
 
 def parquet() -> bytes:
@@ -159,6 +188,47 @@ def test_a_diagnosis(folder: Path, arm: Robot, data: bytes) -> None:
 
 
 @fuzz(60)
+@given(data=mutated(KNOWN))
+def test_what_a_check_is_made_against(folder: Path, arm: Robot, data: bytes) -> None:
+    path = folder / "known.json"
+    path.write_bytes(data)
+    with only_refusals():
+        known_of(arm, path)
+
+
+@fuzz(60)
+@given(data=mutated(MAPPING))
+def test_a_mapping(folder: Path, data: bytes) -> None:
+    path = folder / "map.yaml"
+    path.write_bytes(data)
+    with only_refusals():
+        mapping.read(path)
+
+
+@fuzz(60)
+@given(data=mutated(LIST))
+def test_a_list_of_a_fleet(folder: Path, data: bytes) -> None:
+    path = folder / "list.csv"
+    path.write_bytes(data)
+    with only_refusals():
+        assert all(math.isfinite(entry.time) for entry in roster.read(path, folder / "arm.yaml").entries)
+
+
+@fuzz(60)
+@given(data=st.data())
+def test_a_benchmark(folder: Path, data: st.DataObject) -> None:
+    for name, good in {"cases.json": CASES, "answers.json": ANSWERS, "truth.sealed": sealed()}.items():
+        changed = data.draw(st.booleans())
+        (folder / name).write_bytes(data.draw(mutated(good)) if changed else good)
+    with contextlib.suppress(BenchmarkError), only_refusals():
+        str(score(folder, folder / "answers.json"))
+
+
+def sealed() -> bytes:
+    return SEAL.encode() + base64.b64encode(zlib.compress(json.dumps({"cases": TRUTH}).encode()))
+
+
+@fuzz(60)
 @given(text=mutated(b"a.csv:elbow=1.5,0,0,0.1").map(lambda data: data.decode("utf-8", "replace")))
 def test_a_known_payload(text: str) -> None:
     with only_refusals():
@@ -206,3 +276,12 @@ def test_what_was_changed_was_good(folder: Path, arm: Robot) -> None:
     (folder / "poses.csv").write_bytes(POSES)
     assert theta_d.read_poses(folder / "poses.csv", arm).q.shape == (3, 2)
     assert len(experiment.read(folder / "good.json", arm).ties) == 1
+    (folder / "known.json").write_bytes(KNOWN)
+    assert len(known_of(arm, folder / "known.json").causes) == 1
+    (folder / "good_map.yaml").write_bytes(MAPPING)
+    assert set(mapping.read(folder / "good_map.yaml").channels) == {"q", "current"}
+    (folder / "good_list.csv").write_bytes(LIST)
+    assert len(roster.read(folder / "good_list.csv").entries) == 2
+    for name, data in (("cases.json", CASES), ("answers.json", ANSWERS), ("truth.sealed", sealed())):
+        (folder / name).write_bytes(data)
+    assert score(folder, folder / "answers.json").rows[0].right == 1

@@ -17,6 +17,7 @@ from support.robots.robot_files import MJCF, URDF, file
 
 from flexjoint.cli.main import main
 from flexjoint.core.errors import FlexJointError, RobotError, RobotWarning
+from flexjoint.core.limits import DESCRIPTION
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as recording
 from flexjoint.report import view
@@ -388,6 +389,21 @@ def test_a_mesh_that_lies_is_refused(
     with pytest.raises(RobotError, match=said):
         geometry.shapes(loaded)
     assert "Error" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["urdf", "mjcf"])
+def test_a_mesh_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "meshes").mkdir()
+    with (tmp_path / "meshes" / "m.stl").open("wb") as file:
+        file.truncate(DESCRIPTION.mesh_bytes + 1)  # of zeros, which are no mesh
+    if kind == "urdf":
+        loaded = with_mesh(tmp_path, "package://meshes/m.stl")
+    else:
+        mesh = '<compiler meshdir="meshes"/><asset><mesh name="m" file="m.stl"/></asset><worldbody>'
+        (tmp_path / "arm2.xml").write_text(MJCF.format(free="").replace("<worldbody>", mesh))
+        loaded = robot.load(tmp_path / "arm2.xml")
+    with pytest.raises(RobotError, match=r"m\.stl has more than 30000000 bytes"):
+        geometry.shapes(loaded)
 
 
 def test_a_geometry_that_is_not_shown_is_named(tmp_path: Path) -> None:

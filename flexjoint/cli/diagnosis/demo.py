@@ -11,7 +11,7 @@ from rich.console import Console
 
 from flexjoint.cli.outputs import Asked, page, print_table
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.files import write_json
+from flexjoint.core.files import all_or_none, write_json
 from flexjoint.diagnosis.comparison.compare import Comparison, compare
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis, to_json
@@ -84,8 +84,9 @@ def write(shown: Demo, folder: Path) -> Mapping[str, Path]:
         for name, (before, after) in shown.gains.items()
     }
     gain = {"schema": 1, "recordings": recordings}
-    files.write(to_json(shown.diagnosis, files.model_name()), html, shown.extended)
-    write_json(folder / "gain.json", gain)
+    with all_or_none():
+        files.write(to_json(shown.diagnosis, files.model_name()), html, shown.extended)
+        write_json(folder / "gain.json", gain)
     return {
         "report": folder / "report.html",
         "diagnosis": folder / "diagnosis.json",

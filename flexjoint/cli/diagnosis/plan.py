@@ -13,7 +13,8 @@ from rich.console import Console
 from flexjoint.cli import options
 from flexjoint.cli import outputs as cli_outputs
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.files import write_json
+from flexjoint.core.files import all_or_none, write_json
+from flexjoint.core.messages import escaped
 from flexjoint.core.running.progress import silent
 from flexjoint.core.units import of_joint
 from flexjoint.diagnosis.followup import experiment as planning
@@ -48,9 +49,10 @@ def run(arguments: argparse.Namespace) -> None:
     with Progress() as bar:
         progress = silent if arguments.quiet else bar
         plan = planning.plan(loaded, question, limits, arguments.seed, progress)
-    recording.write(plan.reference, arguments.out)
-    if arguments.json is not None:
-        write_json(arguments.json, content(plan, loaded, arguments.out))
+    with all_or_none():
+        recording.write(plan.reference, arguments.out)
+        if arguments.json is not None:
+            write_json(arguments.json, content(plan, loaded, arguments.out))
     if not arguments.quiet:
         _print(plan, loaded, arguments.out)
 
@@ -77,7 +79,7 @@ def _print(plan: Plan, loaded: Robot, out: Path) -> None:
     cli_outputs.print_table(console, ("joint", "travel from centre", "speed", "motor torque"), rows)
     for line in sentences(plan):
         say(line)
-    say(f"wrote {out}")
+    say(f"wrote {escaped(str(out))}")
 
 
 def content(plan: Plan, robot: Robot, out: Path) -> dict[str, Any]:

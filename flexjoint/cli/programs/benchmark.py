@@ -9,7 +9,7 @@ from typing import Any
 
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.files import write_json
+from flexjoint.core.files import whole_folder, write_json
 from flexjoint.core.messages import escaped
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import to_json
@@ -18,7 +18,7 @@ from flexjoint.report.progress import Progress
 from flexjoint.robot import robot
 from flexjoint_benchmark import SCHEMA, BenchmarkError
 from flexjoint_benchmark.cases import PARTS
-from flexjoint_benchmark.folder import cases, make
+from flexjoint_benchmark.folder import CASES, cases, make
 from flexjoint_benchmark.score import read_answers, score
 
 KEPT = ("effect", "joint", "probability", "parameters", "since", "indistinguishable")  # of a finding
@@ -29,9 +29,9 @@ def make_folder(arguments: argparse.Namespace) -> None:
     real = None if arguments.no_real else robot.robots_folder()
     parts = tuple(arguments.parts or PARTS)
     try:
-        with Progress() as bar:
+        with Progress() as bar, whole_folder(arguments.out) as folder:
             done = make(
-                arguments.out,
+                folder,
                 arguments.count,
                 arguments.seed,
                 parts,
@@ -45,7 +45,7 @@ def make_folder(arguments: argparse.Namespace) -> None:
 
 def answer(arguments: argparse.Namespace) -> None:
     """Diagnose every case that has no answer yet; each is written down when it is known."""
-    check_place(arguments.answers, (".json",))
+    check_place(arguments.answers, (".json",), [arguments.folder / CASES])
     try:
         listed = cases(arguments.folder)
         answers = dict(read_answers(arguments.answers, listed)[1]) if arguments.answers.exists() else {}
@@ -63,12 +63,13 @@ def answer(arguments: argparse.Namespace) -> None:
 
 def show_score(arguments: argparse.Namespace) -> None:
     """Score a file of answers."""
+    if arguments.json is not None:
+        check_place(arguments.json, (".json",), [arguments.answers, arguments.folder / CASES])
     try:
         scored = score(arguments.folder, arguments.answers)
     except BenchmarkError as error:
         raise FlexJointError(str(error)) from None
     if arguments.json is not None:
-        check_place(arguments.json, (".json",), [arguments.answers])
         write_json(arguments.json, scored.to_json())
     print(scored)
 

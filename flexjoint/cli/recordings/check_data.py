@@ -9,6 +9,7 @@ from rich.console import Console
 from flexjoint.cli.options import load_chosen, mapping_of
 from flexjoint.cli.outputs import check_place
 from flexjoint.core.errors import RecordingError
+from flexjoint.core.files import all_or_none
 from flexjoint.core.messages import escaped
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.recording.checks import check
@@ -27,10 +28,11 @@ def run(arguments: argparse.Namespace) -> None:
     table = read(arguments.recording, mapping_of(arguments), robot).recording
     check(robot, table)
     found = check_data(robot, table)
-    if arguments.out is not None:
-        found.repaired.write(arguments.out)
-    if arguments.json is not None:
-        found.write(arguments.json)
+    with all_or_none():
+        if arguments.out is not None:
+            found.repaired.write(arguments.out)
+        if arguments.json is not None:
+            found.write(arguments.json)
     console = Console()
     show(found.summary(), console)
     left = [f for f in found.findings if arguments.out is None or not f.columns]

@@ -32,8 +32,9 @@ def run(arguments: argparse.Namespace) -> None:
         imported = import_log(arguments.log, mapping, robot, progress=bar)
         if robot is not None:
             check(robot, imported.recording)
-    print(escaped(str(imported), "\n"))
+    account = str(imported)
     imported.recording.write(arguments.to)
+    print(escaped(account, "\n"))
     print(escaped(f"wrote {arguments.to}"))
     named = arguments.robot if arguments.robot is not None else "robot.yaml"
     print(escaped(f"next: flexjoint diagnose {arguments.to} --robot {named} --report report.html"))

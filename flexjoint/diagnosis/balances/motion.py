@@ -20,7 +20,7 @@ from flexjoint.robot.robot import Robot
 
 DRIVEN_SUBSTEPS = 2  # per sample, where a link's motion is simulated from its motor's
 REGRESSOR_CHUNK = 1000  # samples evaluated at a time
-ROWS = 40  # filtered at a time, for memory
+ROWS = 8  # filtered at a time: of the largest excerpt 15 megabytes
 
 
 WholeMotion = tuple[np.ndarray, np.ndarray, np.ndarray]  # q (N, nq), v and a (N, nv) of a whole model

@@ -19,7 +19,7 @@ from flexjoint.recording.clock import without_pauses
 from flexjoint.recording.table import Recording, was_measured
 from flexjoint.robot.robot import Robot
 
-LARGEST = 360_000  # samples times joints: 2.3 gigabytes with two workers, and some minutes ...
+LARGEST = 240_000  # samples times joints: 1.8 gigabytes with two workers, and some minutes ...
 MANY = 7  # ... for so many joints; of more, the tolerances of each on the samples of all count
 ENOUGH = 500.0  # Hz, at which the filter is as narrow as it ever is
 WHOLE = 0.9  # of a channel's share of samples: below it every k-th row misses a channel of a rate of its own
@@ -98,7 +98,7 @@ def _every(recording: Recording, stride: int) -> Recording:
     for key, values in columns.items():
         if np.mean(np.isfinite(values)) < WHOLE * np.mean(np.isfinite(recording.columns[key])):
             return recording
-    return replace(recording, time=recording.time[::stride], columns=columns)
+    return replace(recording, time=recording.time[::stride].copy(), columns=columns)
 
 
 def _busiest(robot: Robot, recording: Recording, most: int) -> Recording:
@@ -115,7 +115,7 @@ def _busiest(robot: Robot, recording: Recording, most: int) -> Recording:
     # copies, so that the rest of a large recording need not stay in memory
     columns = {key: values[start : start + most].copy() for key, values in recording.columns.items()}
     there = {key: values for key, values in columns.items() if was_measured(values)}
-    return replace(recording, time=recording.time[start : start + most], columns=there)
+    return replace(recording, time=recording.time[start : start + most].copy(), columns=there)
 
 
 def _travelled(recording: Recording, position: np.ndarray) -> np.ndarray:

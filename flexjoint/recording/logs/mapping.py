@@ -11,17 +11,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from flexjoint.core.errors import FlexJointError, RecordingError, unknown
+from flexjoint.core.errors import FlexJointError, RecordingError, RobotError, unknown
+from flexjoint.core.files import read_text
+from flexjoint.core.limits import ROBOT_FILE
 from flexjoint.recording.logs.units import UNITS_OF, dimension
 from flexjoint.recording.messages import shown
 from flexjoint.recording.table import UNITS
+from flexjoint.robot.reading.yaml_file import NO_YAML, values_of
 from flexjoint.robot.schema import Strict
 
 Numbers = float | tuple[float, ...] | dict[str, float]  # of all joints, in order, or by joint
-LARGEST_FILE = 1_000_000  # bytes of a mapping
 
 
 class ChannelEntry(Strict):
@@ -97,19 +98,18 @@ def read(source: str | os.PathLike[str]) -> MappingFile:
     """The mapping of a YAML file; RecordingError says what is wrong with it."""
     path = Path(source)
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise RecordingError(
-                f"mapping {path}: more than {LARGEST_FILE} bytes; expected a short YAML file"
-            )
-        raw = yaml.safe_load(path.read_text(encoding="utf-8"))
+        raw = values_of(read_text(path, ROBOT_FILE.file_bytes))
     except FileNotFoundError:
         raise RecordingError(
             f"mapping {path} does not exist; docs/reference/formats.md has an example"
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"mapping {path} cannot be read as text: {error}") from None
-    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError) as error:
-        # PyYAML lets through what its constructors of numbers and dates stumble over
+    except RobotError as error:  # beyond the limits of a robot file
+        raise RecordingError(f"mapping {path}: {error}") from None
+    except FlexJointError as error:
+        raise RecordingError(f"mapping {error}") from None
+    except NO_YAML as error:
         raise RecordingError(f"mapping {path} is not valid YAML: {' '.join(str(error).split())}") from None
     return parse(raw, f"mapping {path}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from flexjoint.core.errors import RobotError, RobotWarning
+from flexjoint.core.files import read_text
+from flexjoint.core.limits import DESCRIPTION
 from flexjoint.core.messages import shown
 from flexjoint.core.running import native_output
 from flexjoint.report.view import meshes
@@ -55,7 +58,7 @@ def _described(robot: Robot, kind: Kind) -> tuple[Shape, ...]:
         return ()
     wanted = pin.VISUAL if kind == "visual" else pin.COLLISION
     folders = [str(folder) for folder in (*description.package_dirs, description.path.parent)]
-    _check_names(description)
+    _check_meshes(description, folders)
     try:
         with native_output.held() as said:
             if description.kind == "urdf":
@@ -89,13 +92,25 @@ def _described(robot: Robot, kind: Kind) -> tuple[Shape, ...]:
     return tuple(out)
 
 
-def _check_names(description: Description) -> None:
-    """A page may be shared: nothing enters it from outside of a package that the description names."""
-    for name in re.findall(r"""filename\s*=\s*["']([^"']*)""", description.text):
+def _check_meshes(description: Description, folders: Sequence[str]) -> None:
+    """A page may be shared: nothing enters it from outside of a package that the description names. Memory
+    and time grow with a mesh's file: its size is seen before it is read."""
+    text = description.text or read_text(description.path, DESCRIPTION.file_bytes)
+    within = re.search(r"""meshdir\s*=\s*["']([^"']*)""", text)  # of an MJCF
+    places = [*folders, *([os.path.join(description.path.parent, within[1])] if within else [])]
+    for name in re.findall(r"""\bfile(?:name)?\s*=\s*["']([^"']*)""", text):
         if name.startswith("package://") and leaves_package(name):
             raise RobotError(
                 f"{description.path}: mesh {shown(name, 100)} leaves its package; name a place below it"
             )
+        for place in places:
+            path = os.path.join(place, name.removeprefix("package://").removeprefix("file://"))
+            if os.path.isfile(path) and os.path.getsize(path) > DESCRIPTION.mesh_bytes:
+                raise RobotError(
+                    f"{description.path}: mesh {shown(name, 100)} has more than {DESCRIPTION.mesh_bytes}"
+                    " bytes, the most that is read (docs/reference/limits.md); make it coarser, or view the"
+                    " robot as sticks"
+                )
 
 
 def _mesh(item: Any, known: dict[str, Mesh]) -> tuple[Mesh | None, Sequence[float]]:

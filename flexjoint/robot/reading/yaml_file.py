@@ -21,12 +21,21 @@ PLAIN = re.compile(  # decimal numbers, and YAML's infinity and NaN
     r"[-+]?((0|[1-9]\d*)(\.\d*)?|\.\d+)([eE][-+]?\d+)?\Z|[-+]?\.(inf|Inf|INF|nan|NaN|NAN)\Z"
 )
 MULTILINE = "\n\t\r"
+NO_YAML = (  # what is raised of a text that is none: PyYAML's constructors of numbers and dates stumble, too
+    yaml.YAMLError,
+    ValueError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    RecursionError,
+    OverflowError,
+)
 
 
 def read(path: Path) -> Any:
     """What stands in a YAML; raises RobotError where it cannot be read, or is beyond `ROBOT_FILE`."""
     try:
-        return yaml.load(read_text(path, ROBOT_FILE.file_bytes), Loader=_Loader)
+        return values_of(read_text(path, ROBOT_FILE.file_bytes))
     except FileNotFoundError:
         raise RobotError(f"robot file {path} does not exist; give the path of a robot YAML") from None
     except IsADirectoryError:
@@ -37,9 +46,13 @@ def read(path: Path) -> Any:
         raise RobotError(f"{path}: {error}") from None
     except FlexJointError as error:
         raise RobotError(str(error)) from None
-    except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError, OverflowError) as error:
-        # PyYAML lets through what its constructors of numbers and dates stumble over
+    except NO_YAML as error:
         raise RobotError(f"{path} is not valid YAML: {shown(' '.join(str(error).split()), 200)}") from None
+
+
+def values_of(text: str) -> Any:
+    """What a text in YAML says; raises RobotError where it is beyond `ROBOT_FILE`, and one of `NO_YAML`."""
+    return yaml.load(text, Loader=_Loader)
 
 
 def check_values(raw: Any, where: str) -> None:
@@ -118,8 +131,8 @@ class _Loader(yaml.SafeLoader):
         self._nodes += nodes
         if self._nodes > ROBOT_FILE.nodes:
             raise RobotError(
-                f"more than {ROBOT_FILE.nodes} values, aliases counted as what they stand for; a robot has"
-                " fewer"
+                f"more than {ROBOT_FILE.nodes} values, aliases counted as what they stand for; no robot"
+                " has so many"
             )
 
     def plain_number(self, node: yaml.ScalarNode) -> float:

@@ -16,6 +16,12 @@ from flexjoint.recording.logs import mapping
 from flexjoint.recording.logs.mapping import ChannelEntry, MappingFile
 from flexjoint.recording.logs.units import UNITS_OF
 
+MULTIPLIED = b"rename: {a: &a [x,x,x,x,x,x,x,x,x], " + b", ".join(
+    b"%c: &%c [%s]" % (new, new, b",".join([b"*%c" % old] * 9))
+    for old, new in zip(b"abcdefgh", b"bcdefghi", strict=True)
+)
+MULTIPLIED += b"}\njoints: [*i]"  # 9^9 values in 300 bytes, which a message would print
+
 
 @pytest.mark.parametrize(
     ("raw", "said"),
@@ -48,7 +54,13 @@ def test_a_wrong_mapping_is_refused_with_what_is_valid(raw: Any, said: str) -> N
         (b"\xff\xfe\x00", "cannot be read as text"),
         (b"channels: [", "is not valid YAML"),
         (b"", "expected a mapping with `channels`, got NoneType"),
+        (b"joints: &a [*a]", r"alias \*a stands within what it names"),
+        (MULTIPLIED, "more than 20000 values, aliases counted as what they stand for"),
+        (b"joints: " + b"[" * 5000, "more than 30 levels of nesting"),
+        (b"rate: 100\nrate: 200", "key 'rate' stands twice in line 2"),
+        (b"x" * 1_000_001, "has more than 1000000 bytes"),
     ],
+    ids=range(9),
 )
 def test_an_unreadable_mapping_is_refused(tmp_path: Path, text: bytes | None, said: str) -> None:
     path = tmp_path / "map.yaml"
