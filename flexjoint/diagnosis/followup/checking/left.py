@@ -85,7 +85,8 @@ def _more(now: Remaining, was: Remaining, tolerance: float, settings: Settings) 
     size, shape = (max(usual, share * tolerance * now.torque) for share in (limits.size, limits.shape))
     if beyond_noise(now) > size and now.after > settings.verdict.above_noise * now.noise:
         return f"{now.after:.3g} are left of its torque of {now.torque:.3g}, at most {size:.3g} were expected"
-    if now.structured > max(shape, limits.shape_noise * now.noise):
+    known_shape = limits.grown * scale * was.structured
+    if now.structured > max(shape, limits.shape_noise * now.noise, known_shape):
         return f"what is left has a shape of {now.against} that was not there"
     return ""
 

@@ -19,11 +19,11 @@ from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.followup.checking import numbers
 from flexjoint.diagnosis.followup.checking.check import check, refitted
-from flexjoint.diagnosis.followup.checking.left import left_by
+from flexjoint.diagnosis.followup.checking.left import _more, left_by
 from flexjoint.diagnosis.followup.checking.values import Check, CheckedCause, CheckedNumber
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.regression.problem import Problem
-from flexjoint.diagnosis.result import Diagnosis
+from flexjoint.diagnosis.result import Diagnosis, Remaining
 from flexjoint.diagnosis.result.known import Known
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned
@@ -241,3 +241,13 @@ def test_words_of_a_cause() -> None:
     moved = CheckedNumber("gap", 0.01, 0.0002, 0.015, 0.0003, "rad", 14.0, moved=True)
     cause = CheckedCause("backlash", "elbow", "moved", (moved,))
     assert str(cause) == "backlash moved (gap 0.0150 ± 0.0003 rad, was 0.0100 ± 0.0002)"
+
+
+def test_a_shape_that_was_left_before_is_no_change() -> None:
+    was = Remaining("turn", torque=3.0, before=0.136, after=0.136, noise=0.134, structured=0.075, against="q")
+    wider = replace(was, structured=0.11)  # within what recordings of one machine differ by
+    new = replace(was, structured=0.16)
+
+    said = [_more(now, was, 0.005, USUAL) for now in (was, wider, new)]
+    assert said == ["", "", "what is left has a shape of q that was not there"]
+    assert _more(was, replace(was, structured=0.0), 0.005, USUAL) == said[-1]
