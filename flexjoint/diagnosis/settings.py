@@ -318,7 +318,7 @@ class RegressionSettings(Stage):
         1.0,
         "joint's RMS torque",
         "weak prior of the level of a friction or a ripple: hardly larger than all torque of its joint",
-        "judgement; without it a breakaway friction that few samples show ended at its bound",
+        "machine: KR300, where a breakaway friction that few samples show ended at its bound without it",
     )
     offset_deviation: float = number(
         0.2, "rad", "prior of an encoder offset that is free in each recording", "judgement"

@@ -122,7 +122,9 @@ def test_an_energy_is_evaluated_once_and_when_it_is_asked_for(monkeypatch: pytes
     fitted = at_own_level(fit(problem(), THREE))
     assert asked == 0
     judged = judged_energy(fitted.problem, fitted.y, fitted.effects)
-    assert [fitted.energy, fitted.energy] == [judged, judged]  # no weak prior: none of these is a factor
+    weak = fitting._prior(fitted.problem, fitted.slots, fitted.effects)
+    assert 0.0 < weak < 1e-6  # a friction is far smaller than the torques of its joint
+    assert [fitted.energy, fitted.energy] == [judged + weak, judged + weak]
     assert asked == 1
 
 

@@ -19,6 +19,7 @@ from flexjoint.diagnosis.search.robust_search import (
     JointwiseProblem,
     RobustFinding,
     _on_all_joints,
+    blunted,
     search_robustly,
 )
 from flexjoint.diagnosis.search.robust_together import confirmed
@@ -98,14 +99,15 @@ def test_an_implausible_number_raises_the_level_of_its_own_joint_only() -> None:
 
 def test_what_two_joints_are_late_by_may_be_common_to_all() -> None:
     """On recording B the delay of joint 1 does not show until the frictions of joints 2 and 3 are named."""
-    problem = Problem(balances_of(load("kr300"), recorded_on_kr300("rec_B")))
+    robot, recorded = load("kr300"), recorded_on_kr300("rec_B")
+    first = Problem(balances_of(robot, recorded))
     late = [effect("sensor_delay", f"joint_{i}", delay=LATE, channel="q") for i in (2, 3)]
     frictions = [
         effect("breakaway_friction", "joint_2", level=1050.0, distance=0.006),
         effect("motor_coulomb_friction", "joint_2", level=470.0),
         effect("breakaway_friction", "joint_3", level=1340.0, distance=0.007),
     ]
-    candidates = enumerate_candidates(problem)
+    problem, candidates = blunted(robot, recorded, first, late), enumerate_candidates(first)
     named = at_own_level(fit(problem, [*late, *frictions]))
     assert on_all_joints(fit(problem, late[:1]), candidates) == []
     *before, added = _on_all_joints(named, candidates).effects
