@@ -63,7 +63,7 @@ class DescriptionLimits:
     mesh_bytes: int = limit(
         30_000_000,
         "bytes of a mesh",
-        "the largest of example-robot-data has 28.8e6; ten times as many hang",
+        "the largest of example-robot-data has 28.8e6; one of 200e6 held `view` for two minutes",
     )
 
 

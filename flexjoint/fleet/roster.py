@@ -11,6 +11,7 @@ import csv
 import math
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -149,9 +150,7 @@ def _time_of(path: Path) -> float:
     found = DATE.search(path.stem)
     if found:
         year, month, day, hour, minute = (int(part or 0) for part in found.groups())
-        try:
+        with suppress(ValueError):  # digits that are no date
             return datetime(year, month, day, hour, minute, tzinfo=UTC).timestamp()
-        except ValueError:
-            pass  # digits that are no date
     # no file is seen under a name that no disk takes, either, where Path.exists raises
     return path.stat().st_mtime if os.path.exists(path) else 0.0
