@@ -124,12 +124,36 @@ class Balances:
                     out[r] = self._row(row, after, load) - self._row(row, before, load)
         return dict(sorted(out.items()))
 
-    def changed_by_loads(self, base: Sequence[Planned], effects: Sequence[Planned]) -> dict[int, np.ndarray]:
-        """`changed` where only loads of bodies differ, to first order: what sticks still does. For
-        derivatives, as the place where each joint begins to slip is not computed again for each number of a
-        load."""
+    def changed_slightly(
+        self, base: Sequence[Planned], effects: Sequence[Planned]
+    ) -> dict[int, np.ndarray] | None:
+        """`changed` where one effect of a set has other numbers, or is one more, to first order: what sticks
+        still does. For derivatives and traces, as the place where each joint begins to slip is not computed
+        again for each number of a load, or of a torque within a rigid joint. None for other effects."""
+        known, kept = {e.identity for e in base}, {e.key for e in effects}
+        moved = [e for e in effects if e.identity not in known]
+        if len(moved) != 1 or any(e.key not in kept for e in base):
+            return None
+        (now,) = moved
+        if now.effect.site is Site.BODY:
+            return self._changed_by_load(base, effects)
+        if now.joint is None:
+            return None
+        j = self.motion.robot.joint_names.index(now.joint)
+        own = self._of_joints(base)[j]
+        change = self.chains.slightly(j, own, now)
+        if change is None:
+            return None
+        scale = self.chains.get(j, own).scale
+        return {
+            r: scale * change for r, row in enumerate(self.rows) if row.joint == j and row.balance == MOTOR
+        }
+
+    def _changed_by_load(
+        self, base: Sequence[Planned], effects: Sequence[Planned]
+    ) -> dict[int, np.ndarray] | None:
         if any(self.chains.ties.on_shaft(e) and e.effect.overrides("level") for e in base):
-            return self.changed(base, effects)
+            return None
         chains = self._all(base)
         load = self._rigid_change(effects, chains) - self._rigid_change(base, chains)
         out: dict[int, np.ndarray] = {}

@@ -86,7 +86,7 @@ class Chains(Laws):
         effects = [e for e in effects if not self.ties.on_shaft(e)]
         at = by_site(effects)
         readings = self.readings(i, at[Site.SENSOR])
-        q, theta, q_hat, theta_hat = readings.q, readings.theta, readings.q_hat, readings.theta_hat
+        q, q_hat, theta_hat = readings.q, readings.q_hat, readings.theta_hat
         torque, torque_hat, scale = base.torque, base.torque_hat, 1.0
         if at[Site.COMMAND]:
             scale = self.command_scale(i, at[Site.COMMAND])
@@ -95,10 +95,7 @@ class Chains(Laws):
 
         # what no effect touches is the same in every chain
         nominal = drive is joint.drive
-        signals = Signals(t=self.t, q=q, theta=theta, phi=theta - q, tau_m=torque)
-        if effects:
-            signals.dtheta, signals.dq = readings.dtheta, readings.dq
-            signals.dphi = signals.dtheta - signals.dq
+        signals = self._seen(readings, torque, moving=bool(effects))
         spring_hat = np.zeros_like(theta_hat)
         if not joint.rigid:
             linear = readings.spring_hat if nominal else (drive.K + drive.D * s) * (theta_hat - q_hat)
@@ -133,6 +130,36 @@ class Chains(Laws):
         return Chain(
             motor_hat, spring_hat, link_hat, readings.reading, change, scale, sticking_motor, sticking_link
         )
+
+    def _seen(self, readings: JointReadings, torque: np.ndarray, moving: bool = True) -> Signals:
+        """What laws see of a joint's positions and command; of speeds only where it is `moving`."""
+        q, theta = readings.q, readings.theta
+        signals = Signals(t=self.t, q=q, theta=theta, phi=theta - q, tau_m=torque)
+        if moving:
+            signals.dtheta, signals.dq = readings.dtheta, readings.dq
+            signals.dphi = signals.dtheta - signals.dq
+        return signals
+
+    def slightly(self, i: int, effects: Sequence[Planned], now: Planned) -> np.ndarray | None:
+        """(F,) change of a rigid joint's torques by one more torque `now`, or other numbers of it, beside its
+        `effects`, to first order: what sticks still does. None where it is no such torque."""
+        joint, law = self.motion.robot.joints[i], now.effect
+        was = [e for e in effects if e.key == now.key]
+        changes = law.overrides("level") or law.overrides("edit_drive") or law.reaches_before
+        if not joint.rigid or changes or law.site not in (Site.MOTOR, Site.LINK):
+            return None
+        if i in self.ties.mates(effects):
+            return None
+        chain, own = self.get(i, effects), by_site([e for e in effects if e.joint == joint.name])
+        readings = self.readings(i, own[Site.SENSOR])
+        torque = self.command(i, own[Site.COMMAND]) if own[Site.COMMAND] else self.base(i).torque
+        signals = self._seen(readings, torque)
+        signals.tau_t = self.motion.rigid.tau[i]
+        change = self.torque_along([now], signals) - self.torque_along(was, signals)
+        for sticking in (chain.sticking_motor, chain.sticking_link):
+            if sticking.size:
+                change = np.where(sticking, 0.0, change)
+        return self.filtered(change)
 
     def _drive_of(self, i: int, effects: Sequence[Planned]) -> tuple[Drive, list[tuple[Planned, Drive]]]:
         """Joint i's drive as effects change it, and those that do so later, with the drive that they make; of

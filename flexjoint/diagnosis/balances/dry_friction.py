@@ -99,10 +99,8 @@ class DryFriction:
             rest = np.minimum(np.maximum(changed, self.rest_speed(error)), limits.rest_speed)
             # the filtered speed must say so, too: where a body stands for longer than the filter between two
             # motions, the iteration would become unstable
-            shares = _moving(filtered, rest)
-            if given_back is not None:
-                shares = np.minimum(shares, _moving(filtered + given_back, rest))
-            ahead, back = shares
+            speeds = filtered[None] if given_back is None else np.array([filtered, filtered + given_back])
+            ahead, back = _moving(speeds, rest)
             moving = ahead + back
             near, far_net = maximum_filter1d(moving, reach), denoised_net + lost
             sticking = np.minimum(np.maximum(far_net + near * (net + lost - far_net), least), most)
@@ -120,16 +118,21 @@ class DryFriction:
         return 2 * int(np.ceil(widths * self._sigma / self._window.period)) + 1
 
 
-def _moving(speed: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """(2, N) share of the time about each sample in which a speed (N,), linear meanwhile, is above the `rest`
-    speed (N,), forward and backward. A law that switched with the sample would jump with every number of a
-    fit."""
-    change = np.empty_like(speed)
-    change[1:-1] = 0.5 * np.abs(speed[2:] - speed[:-2])
-    change[0], change[-1] = np.abs(speed[1] - speed[0]), np.abs(speed[-1] - speed[-2])
-    shares = np.empty((2, speed.size))
-    np.subtract(speed, rest, out=shares[0])
-    np.subtract(-speed, rest, out=shares[1])
-    shares /= np.maximum(change, 1e-300)
+def _moving(speeds: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """(2, N) share of the time about each sample in which all speeds (k, N), linear meanwhile, are above the
+    `rest` speed (N,), forward and backward. A law that switched with the sample would jump with every number
+    of a fit."""
+    change = np.empty_like(speeds)
+    np.subtract(speeds[:, 2:], speeds[:, :-2], out=change[:, 1:-1])
+    change[:, 1:-1] *= 0.5
+    change[:, 0], change[:, -1] = speeds[:, 1] - speeds[:, 0], speeds[:, -1] - speeds[:, -2]
+    np.abs(change, out=change)
+    np.maximum(change, 1e-300, out=change)
+    shares = np.empty((2, *speeds.shape))
+    np.subtract(speeds, rest, out=shares[0])
+    np.add(speeds, rest, out=shares[1])
+    np.negative(shares[1], out=shares[1])
+    shares /= change
     shares += 0.5
-    return np.minimum(np.maximum(shares, 0.0, out=shares), 1.0, out=shares)
+    least = shares[:, 0] if len(speeds) == 1 else np.minimum(shares[:, 0], shares[:, 1])
+    return np.minimum(np.maximum(least, 0.0, out=least), 1.0, out=least)

@@ -177,13 +177,15 @@ class Laws:
     def along(self, effects: Sequence[Planned], signals: Signals) -> np.ndarray | float:
         """Spectrum of the torques (not the dry frictions) that act on the motor or the link."""
         acting = [e for e in effects if e.effect.overrides("torque")]
-        if not acting:
-            return 0.0
+        return self.filtered(self.torque_along(acting, signals)) if acting else 0.0
+
+    def torque_along(self, effects: Sequence[Planned], signals: Signals) -> np.ndarray:
+        """(N,) the same before it is filtered."""
         total = np.zeros(self.filter.count)
-        for e in acting:
+        for e in effects:
             torque = e.effect.torque(signals, e.p, self.state(e, signals)) * np.ones_like(total)
             total = total + self.since(e, torque, np.zeros_like(total))
-        return self.filtered(total)
+        return total
 
     # ------------------------------------------------------------------ dry friction
     def dry_of(self, i: int, effects: Sequence[Planned]) -> list[Planned]:

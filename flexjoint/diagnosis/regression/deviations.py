@@ -19,9 +19,9 @@ from flexjoint.diagnosis.regression.problem import REMEMBERED, Problem
 from flexjoint.effects import Planned, Site
 
 LINK_ROUNDS = 5  # at most, in which unmeasured links are put where the likely numbers have them
-MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
 MOST_HALVINGS = 6  # of a step that raises the energy
-CONVERGED = 0.1  # what they explain changes by less than this energy
+MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
+CONVERGED = 0.1  # a step gains, or promises, less than this energy
 
 
 def deviation_effects(problem: Problem, deviations: np.ndarray) -> list[Planned]:
@@ -89,20 +89,23 @@ def relinearised(problem: Problem, effects: Sequence[Planned], y: np.ndarray) ->
     for _ in range(MOST_STEPS):
         step = problem.deviations(y) - deviations
         moved = problem.along(step) * problem.weights
-        if float(moved @ moved) < CONVERGED:
-            break
+        gained = 0.0
         # beside a cause that multiplies it, a number does more than its column says, and a step too much
-        for _ in range(MOST_HALVINGS):
-            trial = deviations + step
+        for halving in range(MOST_HALVINGS):
+            if 0.25**halving * float(moved @ moved) < CONVERGED:
+                break
+            trial = deviations + 0.5**halving * step
             trial_left = there(trial)
             trial_energy = energy(trial, trial_left)
-            if trial_energy < least:
+            gained = least - trial_energy
+            if gained > 0.0:
                 break
-            step = 0.5 * step
-        else:
+        if not gained > 0.0:
             break
         deviations, left, least = trial, trial_left, trial_energy
         y = left + problem.along(np.where(linear, 0.0, deviations))
+        if gained < CONVERGED:
+            break
     return y
 
 

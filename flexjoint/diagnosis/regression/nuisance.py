@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from flexjoint.core.running.lru_cache import LruCache
-from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, Balances
-from flexjoint.diagnosis.regression.whitening import Band, Whitening
+from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, Balances, Row
+from flexjoint.diagnosis.regression.whitening import Band, Whitening, joined
 from flexjoint.diagnosis.signals.jumps import Unknown, jumps, unknown_shapes
 from flexjoint.diagnosis.signals.signals import Readings
 from flexjoint.effects import Drive, Effect, Parameter, Planned, Site, catalogue, effect
@@ -144,6 +144,18 @@ def as_effects(
     return [*out, *changed.values()]
 
 
+@dataclass(frozen=True)
+class _Carried:
+    """What a friction that sticks carries of links' loads in one balance, by their number's index, before it
+    is whitened."""
+
+    bands: Mapping[int, Band]
+
+    @property
+    def nbytes(self) -> int:
+        return sum(band.nbytes for band in self.bands.values())
+
+
 class Columns:
     """Makes the columns of one set of balances under one whitening; `readings` are those with noise, in which
     jumps of torques are looked for."""
@@ -153,6 +165,7 @@ class Columns:
         self.motion, self.robot = balances.motion, balances.motion.robot
         self.nuisance: list[NominalNumber] = []
         self._recent: LruCache[Band] = LruCache()
+        self._carried: LruCache[_Carried] = LruCache()
         self._directions: dict[int, np.ndarray] = {}  # (10,) of a link's parameters, by number
         self._jumps: list[Unknown] = []
         self.samples = whitening.time.size * len(balances.rows)
@@ -347,22 +360,28 @@ class Columns:
         """Columns of the numbers of links whose load a friction carries while it sticks: meanwhile they do
         not change the residual."""
         names, chains = self.robot.joint_names, self.balances.chains
-        sticking: dict[tuple[str, int], np.ndarray] = {}  # by balance and joint
+        carried: dict[int, list[Band]] = {}
         for row in self.balances.rows:
             own = entangled.get(names[row.joint], ())
             if chains.rests_on_load(row.joint, own):
-                where = self.balances.holding(row, chains.get(row.joint, own))
-                if where is not None:
-                    sticking[row.balance, row.joint] = where
-        out: dict[int, np.ndarray] = {}
-        for k, direction in self._directions.items() if sticking else ():
-            torque = self.balances.inertial_torque(names.index(str(self.nuisance[k].joint)), direction)
-            taken = {
-                row: self._spectrum(w * torque[row[1]]) for row, w in sticking.items() if torque[row[1]].any()
-            }
-            if taken:
-                out[k] = self.matrix[k] + self._column(taken)
-        return out
+                key, make = (row, *(e.identity for e in own)), partial(self._held, row, own)
+                for k, band in self._carried.get(key, make, REMEMBERED).bands.items():
+                    carried.setdefault(k, []).append(band)
+        return {
+            k: self.matrix[k] + self.whitening.white(joined(bands)).ravel() for k, bands in carried.items()
+        }
+
+    def _held(self, row: Row, own: Sequence[Planned]) -> _Carried:
+        """What a friction carries of the loads in a balance, beside effects of its joint."""
+        chain = self.balances.chains.get(row.joint, own)
+        where = self.balances.holding(row, chain)
+        out: dict[int, Band] = {}
+        for k, direction in self._directions.items() if where is not None else ():
+            at = self.robot.joint_names.index(str(self.nuisance[k].joint))
+            torque = self.balances.inertial_torque(at, direction)[row.joint]
+            if torque.any():
+                out[k] = self._band({(row.balance, row.joint): self._spectrum(where * torque)})
+        return _Carried(out)
 
     def load_band(self, torque: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (n, N) of the rigid-body torques."""

@@ -274,15 +274,20 @@ class Problem(Recorded):
         """(samples,) residual(other) - residual(extra); only joints that differ are evaluated."""
         return self.whitening.white(self.moved_band(extra, other)).ravel()
 
-    def moved_by_load(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
-        """`moved` where only a body's load differs, to first order (`Balances.changed_by_loads`)."""
+    def moved_slightly(self, extra: Sequence[Planned], other: Sequence[Planned]) -> np.ndarray:
+        """`moved` by other numbers of one effect, or by one more, to first order where that is known
+        (`Balances.changed_slightly`)."""
+        return self.whitening.white(self.slightly_moved_band(extra, other)).ravel()
+
+    def slightly_moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
+        """The same before it is whitened."""
         a, b = self._on_measured(extra), self._on_measured(other)
         if [e.identity for e in a] != [e.identity for e in b]:
-            change = self.balances.changed_by_loads(a, b)
-        else:  # a load that changes the noise
+            change = self.balances.changed_slightly(a, b)
+        else:  # an effect that changes the noise
             every = self.with_nominal(extra), self.with_nominal(other)
-            change = self.balances.denoised.changed_by_loads(*every)
-        return self.whitening.white(self.whitening.band(change)).ravel()
+            change = self.balances.denoised.changed_slightly(*every)
+        return self.moved_band(extra, other) if change is None else self.whitening.band(change)
 
     def moved_band(self, extra: Sequence[Planned], other: Sequence[Planned]) -> Band:
         """The same before it is whitened."""

@@ -50,6 +50,17 @@ class Band:
         return self.spectra.nbytes
 
 
+def joined(bands: Sequence[Band]) -> Band:
+    """The sum of some bands."""
+    if len(bands) == 1:
+        return bands[0]
+    rows = np.unique(np.concatenate([band.rows for band in bands]))
+    spectra = np.zeros((rows.size, bands[0].spectra.shape[1]), dtype=complex)
+    for band in bands:
+        spectra[np.searchsorted(rows, band.rows)] += band.spectra
+    return Band(rows, spectra)
+
+
 @dataclass(frozen=True)
 class Whitening:
     """Linear map from balance spectra to white time series at the band-limited rate."""

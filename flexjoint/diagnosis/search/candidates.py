@@ -201,7 +201,7 @@ def _trace(
     }
 
     # noise that is shifted against itself would look like a trace of a delay: it is left out
-    moved = problem.denoised_moved_band if effect.overrides("delay") else problem.moved_band
+    moved = problem.denoised_moved_band if effect.overrides("delay") else problem.slightly_moved_band
 
     def column(values: Mapping[str, Any]) -> Band:
         return moved(base, [*without, candidate.planned(values)])

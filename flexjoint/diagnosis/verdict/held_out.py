@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
-from flexjoint.diagnosis.regression.fit import Fit, fit, shifts
+from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Gain
-from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.noise import white_noise
 from flexjoint.recording.table import MEASURED, Recording
@@ -36,16 +35,16 @@ def gains(problem: Problem, best: Fit) -> list[float]:
     seen, unseen = problem.only(~away), problem.only(away)
     noise = float(np.sum(1.0 / level)) * float(np.sum(away)) * problem.whitening.freedom / len(level)
 
-    def error(effects: Sequence[Planned]) -> float:
-        fitted = fit(seen, effects)
+    def error(fitted: Fit) -> float:
         rest = fitted.problem.rest(fitted.y) * unseen.weights
         return float(rest @ rest)
 
-    everything, none = error(best.effects), error([])
+    every = fit(seen, best.effects)
+    everything, none = error(every), error(fit(seen, []))
     whole = max(none - min(noise, everything), 1e-300)
     out = []
-    for k in range(len(best.effects)):
-        without = none if len(best.effects) == 1 else error([e for i, e in enumerate(best.effects) if i != k])
+    for e in every.effects:
+        without = none if len(every.effects) == 1 else error(refit_without(every, e))
         out.append(float(np.clip((without - everything) / whole, 0.0, 1.0)))
     return out
 
