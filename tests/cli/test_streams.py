@@ -24,6 +24,7 @@ FLEXJOINT = [sys.executable, "-m", "flexjoint"]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 LEVER = robot_file("lever")
 LONGEST_END = 3.0  # s, of a second that is asked for; 0.3 measured where seven processes share two cores
+WORKED = 4.0  # s of processor time, of which a process takes some two to import what it needs
 KR300 = robots_folder() / "kr300"
 
 
@@ -173,6 +174,31 @@ def test_an_interrupt_ends_a_fleet(tmp_path: Path, later: float) -> None:
     assert not list(tmp_path.rglob(".*"))
 
 
+@pytest.mark.parametrize(
+    "words",
+    ["plan --robot kr300 --out plan.csv --quiet", "demo --out shown", "benchmark make machines --count 3"],
+    ids=lambda words: words.split()[0],
+)
+def test_an_interrupt_leaves_nothing_behind(tmp_path: Path, words: str) -> None:
+    with subprocess.Popen(
+        [*FLEXJOINT, *words.split()],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=ENVIRONMENT,
+        cwd=tmp_path,
+        start_new_session=True,
+    ) as process:
+        waited_for_work(process.pid)
+        begin = time.monotonic()
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=60)  # until the last process has closed them
+        seconds = time.monotonic() - begin
+    assert process.returncode == 130 and err.splitlines()[-1] == "flexjoint: interrupted"
+    assert seconds < LONGEST_END
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
 def test_an_interrupt_ends_compiled_code_too(tmp_path: Path) -> None:
     """Python raises KeyboardInterrupt after a call into a library; a process that is in one is ended by a
     thread, which ends what it has forked and removes what is half written."""
@@ -208,6 +234,17 @@ with ended_at_once(), whole_file(Path({str(tmp_path / "out.csv")!r})) as file:
     assert seconds < LONGEST_END
     assert len(workers) == 1 and not Path(f"/proc/{workers[0]}").exists()
     assert not list(tmp_path.iterdir())
+
+
+def waited_for_work(pid: int) -> None:
+    """Until a process has taken so much of a processor that it has long begun its work."""
+    ticks = WORKED * os.sysconf("SC_CLK_TCK")
+    for _ in range(2400):
+        taken = sum(map(int, Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[11:15]))
+        if taken >= ticks:
+            return
+        time.sleep(0.05)
+    raise AssertionError("the process does nothing")
 
 
 def waited_for_workers(pid: int) -> list[int]:

@@ -25,24 +25,30 @@ ENOUGH = 500.0  # Hz, at which the filter is as narrow as it ever is
 WHOLE = 0.9  # of a channel's share of samples: below it every k-th row misses a channel of a rate of its own
 SEEN = 0.05  # s, over which a joint's speed is averaged
 PLACES = 50  # at which a stretch may begin
-SECONDS = 1.5e-3  # of processor time for each sample of a joint: KR300 4e-3, one lever 0.5e-3
+SECONDS = (
+    7e-4  # of processor time for each sample of a joint: of 43 machines with 1 to 3 joints 3e-4 to 4e-3 ...
+)
+FEW = 3  # ... as many joints; of six (KR300, TX40, a UR10) 3e-3 to 1.2e-2, as each has causes of its own
 LEAST = 8_000  # samples times joints that are looked at, however little time is allowed
 
 
+def _seconds_each(robot: Robot) -> float:
+    """[s] of processor time for each sample of a joint; of more joints than were tried as of the most."""
+    return SECONDS * (1.0 + (min(len(robot.joints), MANY) / FEW) ** 3)
+
+
 def expected_seconds(robot: Robot, recordings: Sequence[Recording], workers: int) -> float:
-    """About how long a diagnosis takes, by what it will look at: within a factor of three as a rule."""
+    """About how long a diagnosis takes, by what it will look at: within a factor of three as a rule, of six
+    in what was tried."""
     size = sum(recording.time.size for recording in recordings) * len(robot.joints)
-    return SECONDS * min(size, most_samples(robot)) / workers
+    return _seconds_each(robot) * min(size, most_samples(robot)) / workers
 
 
 def most_samples(robot: Robot, seconds: float = math.inf, largest: int | None = None) -> int:
     """Samples times joints that a search can take, in a time [s] on one processor."""
     joints = len(robot.joints)
-    return int(
-        min(
-            (LARGEST if largest is None else largest) / max(1.0, joints / MANY), max(LEAST, seconds / SECONDS)
-        )
-    )
+    largest = LARGEST if largest is None else largest
+    return int(min(largest / max(1.0, joints / MANY), max(LEAST, seconds / _seconds_each(robot))))
 
 
 def excerpts(

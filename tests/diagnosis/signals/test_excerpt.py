@@ -11,8 +11,9 @@ from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.signals import excerpt
-from flexjoint.diagnosis.signals.excerpt import excerpts
-from flexjoint.recording.table import Recording
+from flexjoint.diagnosis.signals.excerpt import excerpts, expected_seconds, most_samples
+from flexjoint.recording.table import Recording, read
+from flexjoint.robot.robot import load, robots_folder
 
 LEVER = nominal("lever")
 (SWING,) = LEVER.joint_names
@@ -100,6 +101,18 @@ def test_many_joints_count_twice(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(excerpt, "MANY", many)
         (kept,), _ = excerpts(gimbal, [recording])
         assert kept.time.size == expected
+
+
+def test_a_joint_of_an_arm_takes_longer_than_one_alone() -> None:
+    """Measured, processor time: 150 s for the KR300's ten seconds of six joints, 1.15e-3 s for each sample
+    of 13 machines with one joint (docs/studies/real_machines.md)."""
+    arm, rec = load("kr300"), read(robots_folder() / "kr300" / "recordings" / "rec_A.parquet")
+    alone = moving(4000)
+
+    assert 50.0 < expected_seconds(arm, [rec], 1) < 450.0
+    assert 1.5 < expected_seconds(LEVER, [alone], 1) < 14.0
+    assert expected_seconds(arm, [rec], 2) == 0.5 * expected_seconds(arm, [rec], 1)
+    assert excerpt.LEAST < most_samples(arm, 60.0) < rec.time.size * 6 < most_samples(LEVER, 60.0)
 
 
 @settings(deadline=None, max_examples=60)
