@@ -138,27 +138,6 @@ def refit_without(result: Fit, effect: Planned) -> Fit:
     return fit(result.problem, others, held=held_beside(others, effect))
 
 
-def worth(result: Fit, effect: Planned) -> float:
-    """Energy by which a set gets worse without one of its effects, to first order, the other numbers adapted
-    (Wald 1943)."""
-    normal, _ = normal_equations(result.problem, result.tangents, result.y, result.slots, result.effects)
-    listed = next((e for e in result.problem.nominal if e.key == effect.key), None)
-    own, away = [], []
-    for k, slot in enumerate(result.slots):
-        if result.effects[slot.effect] is effect and slot.param.null is not None:
-            absent = slot.param.null if listed is None else replace(slot, effect=0).get([listed])
-            own.append(k)
-            away.append(slot.get(result.effects) - absent)
-    spread = _inverse(normal)[np.ix_(own, own)]
-    return float(away @ np.linalg.pinv(spread) @ away)
-
-
-def _inverse(normal: np.ndarray) -> np.ndarray:
-    """(k, k) pseudo-inverse of a normal matrix, taken in numbers of one size."""
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
-
-
 def _bent(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
     """What is to be added to the residual y of effects with a dry friction, because the deviations of the
     nominal numbers change when that friction sticks. 0 where these numbers are implausible, for they say
@@ -395,7 +374,8 @@ def covariance(result: Fit, blocks: np.ndarray) -> np.ndarray:
     if k == 0:
         return np.zeros((0, 0))
     normal, _ = normal_equations(problem, result.tangents, result.y, result.slots, result.effects)
-    bread = _inverse(normal)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    bread = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
     projected = problem.project(result.tangents) * problem.weights
     residual = problem.rest(result.y) * problem.weights
     count = int(blocks.max()) + 1

@@ -27,20 +27,15 @@ def price(result: Fit) -> float:
     """Energy that a set of effects must explain at least; `score` adds what the number of joints and missing
     sensors cost. A number that changes no residual is free (for a payload that only moves in a straight line:
     its position on the link)."""
-    return sum(prices(result))
-
-
-def prices(result: Fit) -> list[float]:
-    """The price of each effect of a set."""
     limits = result.settings.search
     numbers = Counter(
         slot.effect for slot, tangent in zip(result.slots, result.tangents, strict=True) if np.any(tangent)
     )
-    out = []
+    total = 0.0
     for k, e in enumerate(result.effects):
         first = limits.price if own_number(result.problem, e) is None else limits.price_nominal
-        out.append(first + limits.price_number * max(0, numbers[k] + (e.since is not None) - 1))
-    return out
+        total += first + limits.price_number * max(0, numbers[k] + (e.since is not None) - 1)
+    return total
 
 
 def score(result: Fit) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from flexjoint.core.running.budget import UNLIMITED, Budget
 from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, refit_without, worth
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, refit_without
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Step
 from flexjoint.diagnosis.search.candidates import Candidate
@@ -22,7 +22,6 @@ from flexjoint.diagnosis.search.criteria import (
     degenerate,
     only_by_implausible,
     price,
-    prices,
     score,
     stands_in,
     supported,
@@ -303,14 +302,10 @@ def _neighbours(result: Fit, effect: Planned) -> frozenset[Key]:
 
 def choose(fits: Sequence[Fit]) -> Fit:
     """The set with the best score, or a simpler one whose score is worse by little (`granted`)."""
-    close = _as_good_as(min(fits, key=score))
-    return min((f for f in fits if score(f) <= close), key=lambda f: (price(f), score(f)))
-
-
-def _as_good_as(best: Fit) -> float:
-    """The score up to which a simpler set is as good as the best one."""
+    best = min(fits, key=score)
     bare = best.problem.energy(best.problem.residual([]))
-    return score(best) + granted([best], bare - best.energy)
+    close = score(best) + granted([best], bare - best.energy)
+    return min((f for f in fits if score(f) <= close), key=lambda f: (price(f), score(f)))
 
 
 def granted(fits: Sequence[Fit], explained: float) -> float:
@@ -350,9 +345,7 @@ def exchange(
         fits = [f for f in tried if f.effects[-1].key != key]
         fits = [f for f in fits if not (contradicted(f, without) or stands_in(f, f.effects[-1]))]
         fits += [
-            alone
-            for more in search.pool.map(_containing, [(f, key[0], _as_good_as(result)) for f in fits])
-            for alone in more
+            alone for more in search.pool.map(_containing, [(f, key[0]) for f in fits]) for alone in more
         ]
         swapped = choose([result, *fits])
         if swapped is not result and exchanges < result.settings.search.most_exchanges:
@@ -397,25 +390,19 @@ def _still_better(refitted: Fit, result: Fit) -> bool:
     return choose([fit(refitted.problem, result.effects), refitted]) is refitted
 
 
-def _containing(task: tuple[Fit, str, float]) -> list[Fit]:
+def _containing(task: tuple[Fit, str]) -> list[Fit]:
     return [evaluated(f) for f in containing(*task)]
 
 
-def containing(result: Fit, replaced: str, close: float) -> list[Fit]:
+def containing(result: Fit, replaced: str) -> list[Fit]:
     """Where the last effect of a set contains the `replaced` one as a special case: the set without each
     other effect of that joint in turn, which the wider effect may make unnecessary (a friction with two
-    levels is Coulomb friction and an offset), where the score may come `close` to that of the best set."""
-    added, unfitted = result.effects[-1], result.settings.search.unfitted
+    levels is Coulomb friction and an offset)."""
+    added = result.effects[-1]
     if replaced not in added.effect.contains:
         return []
-    missing = score(result) - close
-    return [
-        refit_without(result, other)
-        for other, saved in zip(result.effects, prices(result), strict=True)
-        if other is not added
-        and other.joint == added.joint
-        and missing + unfitted**2 * worth(result, other) <= saved
-    ]
+    beside = [e for e in result.effects[:-1] if e.joint == added.joint]
+    return [refit_without(result, other) for other in beside]
 
 
 def united(result: Fit) -> Fit:

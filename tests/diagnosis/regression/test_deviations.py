@@ -9,7 +9,7 @@ from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.deviations import converged_deviations, deviation_effects
-from flexjoint.diagnosis.regression.fit import fit, refit_without, worth
+from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.effects import effect
@@ -54,22 +54,3 @@ def test_converged_deviations_explain_no_less_than_none(problem: Problem) -> Non
 
     assert energy(numbers) <= energy(np.zeros(len(problem.nuisance)))
     assert np.max(np.abs(numbers)) < 4.0
-
-
-def test_what_an_effect_is_worth_is_what_the_set_loses_without_it(problem: Problem) -> None:
-    """Of a law that is linear in its number the first order is nearly all."""
-    found = at_own_level(
-        fit(
-            problem,
-            [
-                effect("motor_inertia", "elbow", scale=2.0),
-                effect("motor_coulomb_friction", "shoulder", level=12.0),
-                effect("torque_offset", "elbow", offset=0.1),
-            ],
-        )
-    )
-    inertia, _, offset = found.effects
-
-    for one in (inertia, offset):
-        lost = refit_without(found, one).energy - found.energy
-        assert worth(found, one) == pytest.approx(lost, rel=0.3, abs=1.0)
