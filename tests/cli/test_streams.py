@@ -16,6 +16,7 @@ import pytest
 from planting import Planted
 from planting.robots import robot_file
 from support.diagnose_cases import Case, as_recording
+from support.thorough import thorough
 
 from flexjoint.recording import table as recording
 from flexjoint.robot.robot import robots_folder
@@ -258,6 +259,7 @@ def waited_for_workers(pid: int) -> list[int]:
     raise AssertionError("no worker was started")
 
 
+@thorough
 def test_a_diagnosis_is_the_same_bit_by_bit(tmp_path: Path, lever: Path) -> None:
     """For any number of workers and threads, hash seed, locale and time zone, and budget that is enough."""
     settings = [

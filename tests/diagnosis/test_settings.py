@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
+from support.thorough import thorough
 
 from flexjoint.core.errors import ModelError
 from flexjoint.diagnosis.pipeline import diagnose
@@ -38,6 +39,7 @@ def test_a_count_must_be_whole() -> None:
         SearchSettings(most_effects=2.5)  # type: ignore[arg-type]
 
 
+@thorough
 def test_another_price_decides_otherwise() -> None:
     """An offset that the usual price lets in, and one of a million times as much does not."""
     cause = Planted("torque_offset", "swing", {"offset": 1.0})

@@ -19,6 +19,7 @@ from pyarrow import parquet
 from support import mortal
 from support.cli_runs import complaint, run
 from support.diagnose_cases import ROBOTS, SENSORS, as_recording, nominal
+from support.thorough import thorough
 
 from flexjoint.core.errors import FlexJointError
 from flexjoint.fleet import campaign, watch, words
@@ -62,6 +63,7 @@ def fleet_folder(tmp_path: Path) -> Path:
 
 
 # ------------------------------------------------------------------ the whole way
+@thorough
 def test_who_changed_is_shown_and_work_is_not_done_again(
     fleet_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -189,6 +191,7 @@ def test_workers_are_killed_where_nobody_waits_for_them(
     assert not multiprocessing.active_children()
 
 
+@thorough
 def test_a_dask_cluster_does_the_same_units(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two workers in processes of their own, of which one is killed in the middle; its nanny starts
     another."""

@@ -287,6 +287,7 @@ def test_the_same_recording_gives_the_same_diagnosis() -> None:
     assert json.dumps(first) == json.dumps(second)
 
 
+@thorough
 def test_a_joint_without_a_command_tells_nothing_of_its_neighbours_coupling() -> None:
     rubs = Planted("motor_coulomb_friction", "elbow", {"level": 1.0})
     whole = as_recording(Case("crane", "rich", 3).with_causes(rubs))

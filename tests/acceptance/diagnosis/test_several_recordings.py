@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal, summary
-from support.thorough import sample
+from support.thorough import sample, thorough
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.diagnosis.pipeline import diagnose
@@ -26,6 +26,7 @@ def scale(finding: object) -> Fitted:
     return value
 
 
+@thorough
 def test_two_recordings_know_a_cause_better_than_one() -> None:
     robot, one, two = nominal("crane"), planted(31, SOFT), planted(32, SOFT)
     alone, both = diagnose(robot, [one], refine=False), diagnose(robot, [one, two])
@@ -37,6 +38,7 @@ def test_two_recordings_know_a_cause_better_than_one() -> None:
     assert any("all 2 recordings" in note for note in both.notes)
 
 
+@thorough
 @pytest.mark.parametrize(
     ("name", "number", "values"),
     sample(

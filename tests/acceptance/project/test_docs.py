@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from support.pages import DOCS, PAGES, ROOMS, ROOT, blocks
+from support.thorough import thorough
 
 import flexjoint.diagnosis.pipeline
 import flexjoint.effects
@@ -204,6 +205,7 @@ def test_the_simulation_page_names_every_scheme_and_law() -> None:
 
 
 # --- rigid_robots.md --------------------------------------------------------------------------------------
+@thorough
 def test_the_page_of_rigid_robots_finds_what_its_log_holds() -> None:
     (example,) = blocks(DOCS / "start" / "rigid_robots.md", "python")
     names: dict[str, Any] = {}

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.thorough import thorough
 
 from flexjoint.cli.main import main
 from flexjoint.cli.paper import whole_body
@@ -121,6 +122,7 @@ def test_unknown_variants_are_refused() -> None:
         whole_body.references("none", "motor")
 
 
+@thorough
 def test_the_command_prints_the_tables_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["paper", "whole-body", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.thorough import thorough
 
 from flexjoint import testing
 from flexjoint.cli.paper import whole_body
@@ -55,6 +56,7 @@ def changed(joint: str, number: str) -> FlexibleJointModel:
     return FlexibleJointModel(*renumbered(robot, robot.effects, {f"drive.{joint}.{number}": value}))
 
 
+@thorough
 def test_the_same_bits_again_and_in_a_new_process() -> None:
     testing.assert_deterministic(first_seconds, new_process=True)
 

@@ -18,6 +18,7 @@ from planting import Planted, plant
 from support.cli_runs import complaint, run
 from support.diagnose_cases import ROBOTS, SENSORS, as_recording, nominal
 from support.pages import DOCS, blocks
+from support.thorough import thorough
 
 from flexjoint.cli.diagnosis.demo import Demo
 from flexjoint.cli.diagnosis.demo import write as write_demo
@@ -194,6 +195,7 @@ def test_the_command_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 # ------------------------------------------------------------------ Model Context Protocol
+@thorough
 def test_a_client_calls_the_tools_over_stdio(folder: Path) -> None:
     pytest.importorskip("mcp")
     hose = Planted("kinked_hose", "swing", {"torque": 6.0, "angle": 0.2, "width": 0.1})  # of no catalogue

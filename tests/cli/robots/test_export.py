@@ -10,6 +10,7 @@ import pytest
 import yaml
 from support.cli_runs import complaint, run
 from support.robots.robot_files import file
+from support.thorough import thorough
 
 import flexjoint as fj
 from flexjoint.cli.robots.export import differences
@@ -90,6 +91,7 @@ def test_the_output_is_no_input(robot: Path, capsys: pytest.CaptureFixture[str])
 
 
 # --- the measured loss --------------------------------------------------------------------------------------
+@thorough
 def test_the_loss_on_a_real_machines_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import interp1d
 from support.diagnose_cases import Case, as_recording, nominal
+from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import LINK, SPRING, TwinBalances, balances_of
 from flexjoint.diagnosis.balances.motion import reconstruct
@@ -35,6 +36,7 @@ def balances(recording: Recording) -> TwinBalances:
     return balances_of(nominal("crane"), recording)
 
 
+@thorough
 def test_a_torque_on_the_links_moves_them_by_their_linear_equations(balances: TwinBalances) -> None:
     """Against a tight solution of M dq'' + (C + D) dq' + (G + K) dq = torque, another integrator's."""
     motion, links = balances.motion, balances.missing_links

@@ -11,6 +11,7 @@ from planting import Planted, plant, robot_file
 from planting.machine.sensing import SensorSet
 from scipy.signal import lfilter
 from support.diagnose_cases import as_recording, summary
+from support.thorough import thorough
 
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.data.torques.lag import advanced, torque_lag
@@ -67,6 +68,7 @@ def test_the_time_constant_of_filtered_torques_is_found(constant: float, rate: f
     assert lag.joints == robot().joint_names and len(lag.shown_by) >= 4
 
 
+@thorough
 def test_a_moving_average_lags_by_half_its_length() -> None:
     length = 5  # samples of 4 ms
     lag = torque_lag(robot(), with_torques(recorded(), [1.0 / length] * length, [1.0]))
@@ -74,6 +76,7 @@ def test_a_moving_average_lags_by_half_its_length() -> None:
     assert lag.seconds == pytest.approx(0.008, abs=4.0 * lag.std + 3e-4)
 
 
+@thorough
 def test_right_torques_do_not_lag() -> None:
     for rate in (125.0, 250.0):
         assert torque_lag(robot(), recorded(rate)) is None
@@ -105,6 +108,7 @@ def test_readings_are_advanced_by_their_lag() -> None:
     assert errors[1] < 0.25 * errors[0]
 
 
+@thorough
 def test_filtered_torques_do_not_end_in_wrong_names() -> None:
     """Without this the diagnosis named two periodic disturbances and an eccentric encoder."""
     recording = filtered(recorded(), 0.01)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from planting import NO_COMMAND, ROBOTS, Planted, plant
 from support.diagnose_cases import Case, as_recording, findings_of, nominal
+from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
@@ -257,6 +258,7 @@ def deviations(finding: Finding, planted: Planted) -> list[float]:
     return out
 
 
+@thorough
 def test_standard_errors_cover_the_truth() -> None:
     """Eleven numbers of eight machines: their errors in standard errors are a standard normal sample or
     smaller (where a tolerance widens the error but the machine does not use it)."""
@@ -397,6 +399,7 @@ def test_where_nothing_can_be_simulated_the_balances_numbers_stay(
     assert estimation.why == "no window of the recording can be simulated with these numbers"
 
 
+@thorough
 def test_a_diagnosis_refines_unless_told_not_to() -> None:
     robot, recording = recorded(1)
 

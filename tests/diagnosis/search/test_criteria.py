@@ -49,6 +49,7 @@ def fitted(case: Case, *causes: Planted, assumed: tuple[Planned, ...]) -> Fit:
     return fit(problem, assumed)
 
 
+@thorough
 def test_a_nominal_number_far_off_beside_a_large_cause_is_named() -> None:
     result = found_in(Case("lever", "rich", 5, inexact=0.02), *CAUSES)
     named = {(f.effect, f.joint) for f in result.findings}
@@ -144,6 +145,7 @@ def test_an_onset_found_at_a_high_noise_level_is_dated_again_at_the_level_that_i
     assert settled(guess).effects[0].since == pytest.approx(5.9, abs=0.05)
 
 
+@thorough
 def test_a_jump_of_an_encoder_is_dated_before_it_is_compared() -> None:
     """A preload dated half a block away explains as much of what is left as the jump dated there; only at
     its own instant the jump explains what the motor's acceleration shows."""

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from planting import Planted, plant, robot_file
 from support.diagnose_cases import QUIET, Case, as_recording, nominal
+from support.thorough import thorough
 
 from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
@@ -41,6 +42,7 @@ def test_the_truth_is_tried_in_the_place_of_a_law_that_does_the_same() -> None:
     assert "motor_coulomb_friction" in names
 
 
+@thorough
 def test_beside_what_took_a_place_further_causes_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """An offset stands for a cable until the cable takes its place; a ripple is seen only then."""
     cable = Planted("cable_spring", "turn", {"stiffness": 2.0, "rest": 0.3})

@@ -7,6 +7,7 @@ import pytest
 from planting import Planted, plant, robot_file
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording, summary
+from support.thorough import thorough
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis, ResidualView, Unexplained
@@ -44,6 +45,7 @@ def pushed(found: Diagnosis) -> list[Unexplained]:
     return [u for u in found.unexplained if u.begin is not None]
 
 
+@thorough
 @pytest.mark.parametrize(("name", "share"), [("crane", 0.05), ("crane", 0.3), (RIGID, 0.2)])
 def test_a_push_of_two_seconds_is_told_with_joint_and_times(name: str, share: float) -> None:
     joint, size = ROBOTS[name]
@@ -71,6 +73,7 @@ def test_a_healthy_machine_was_not_pushed() -> None:
     assert diagnosed("crane").verdict == "healthy" and not pushed(diagnosed("crane"))
 
 
+@thorough
 def test_a_push_beside_friction_and_friction_alone() -> None:
     friction = Planted("motor_coulomb_friction", "elbow", {"level": 1.0})
     push = Planted("pushes", "elbow", {"torque": 1.26, "times": (5.0,), "length": 1.0})
@@ -111,6 +114,7 @@ def test_times_and_torque_of_a_push() -> None:
     np.testing.assert_allclose(found, (4.0, 6.0, 0.5), atol=0.03)
 
 
+@thorough
 def test_a_leftover_is_told_by_the_neighbours_position() -> None:
     """A cable over two joints pulls at one by the angle of the other."""
     pull = Planted("neighbour_pull", "tilt", {"torque": 0.8, "angle": 0.3, "side": "before"})

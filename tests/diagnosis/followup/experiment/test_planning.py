@@ -163,6 +163,7 @@ def planned(robot: Robot, cause: Tie, sensors: dict[tuple[str, str], float], **l
     return plan(robot, question, limits_of(robot, **limits))
 
 
+@thorough
 def test_equivalent_causes_are_called_so() -> None:
     truth = effect("motor_encoder_offset", "turn", offset=0.01)
     noise = {(channel, "turn"): level for channel, level in NOISE.items()}

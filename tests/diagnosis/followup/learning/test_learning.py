@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
+from support.thorough import thorough
 
 import flexjoint as fj
 from flexjoint.core.errors import FlexJointError, RecordingError, UnknownNameError
@@ -50,6 +51,7 @@ def unseen_error(robot: Robot, cause: str) -> float:
     return float(np.sqrt(np.mean(np.square(list(fj.compare(robot, fresh).nrmse.values())))))
 
 
+@thorough
 @pytest.mark.parametrize(
     ("planted", "effect", "signal", "less"),
     [(HOSE, "learned_link_torque", "q", 20.0), (SPRING, "learned_deflection", "phi", 5.0)],
@@ -68,6 +70,7 @@ def test_a_law_of_no_catalogue_is_learned(planted: str, effect: str, signal: str
     assert after < before / less
 
 
+@thorough
 def test_a_law_of_two_signals_is_learned_where_none_of_one_holds() -> None:
     """The motor's torque constant changes with its angle: a product of the command and a law of theta."""
     robot, recording, found, more = learned(RIPPLE)
@@ -109,6 +112,7 @@ def moving(seed: int, *causes: str) -> Recording:
     return as_recording(case.with_causes(*(PLANTED[name] for name in causes)), f"{case.name}-{seed}")
 
 
+@thorough
 def test_a_law_of_several_recordings_holds_on_one_that_none_of_them_is() -> None:
     robot, recording, found, _ = learned(HOSE)
     both = fj.learn(robot, [recording, moving(2003, HOSE)], found)
@@ -140,6 +144,7 @@ def test_what_it_resembles_and_what_to_look_at_is_said() -> None:
     assert "Look at what pulls at the link by its pose" in text.replace("\n", " ")
 
 
+@thorough
 @pytest.mark.parametrize("causes", [(), (FRICTION,)], ids=["healthy", "explained"])
 def test_nothing_is_learned_where_nothing_is_left(causes: tuple[str, ...]) -> None:
     robot, _, found, more = learned(*causes)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, findings_of, nominal
+from support.thorough import thorough
 
 import flexjoint as fj
 from flexjoint.diagnosis.balances.balances import balances_of
@@ -62,6 +63,7 @@ def test_fewer_samples_than_places_are_a_place_each() -> None:
 
 
 # ------------------------------------------------------------------ a struck end stop
+@thorough
 def test_a_stop_is_learned_over_a_part_of_the_range() -> None:
     """A spline over the whole range leaves 1.5 and 9 times as much on these motions: 0.96 of the second's."""
     laws = learned().learned.laws  # type: ignore[union-attr]
