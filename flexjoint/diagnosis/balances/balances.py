@@ -152,6 +152,7 @@ class Balances:
     def _changed_by_load(
         self, base: Sequence[Planned], effects: Sequence[Planned]
     ) -> dict[int, np.ndarray] | None:
+        """The same by a body's load; None where a shaft that several joints turn rubs."""
         if any(self.chains.ties.on_shaft(e) and e.effect.overrides("level") for e in base):
             return None
         chains = self._all(base)

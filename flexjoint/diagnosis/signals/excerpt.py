@@ -25,10 +25,8 @@ ENOUGH = 500.0  # Hz, at which the filter is as narrow as it ever is
 WHOLE = 0.9  # of a channel's share of samples: below it every k-th row misses a channel of a rate of its own
 SEEN = 0.05  # s, over which a joint's speed is averaged
 PLACES = 50  # at which a stretch may begin
-SECONDS = (
-    7e-4  # of processor time for each sample of a joint: of 43 machines with 1 to 3 joints 3e-4 to 4e-3 ...
-)
-FEW = 3  # ... as many joints; of six (KR300, TX40, a UR10) 3e-3 to 1.2e-2, as each has causes of its own
+SECONDS = 7e-4  # of processor time for each sample of a joint: of 43 machines with few joints 3e-4 to 4e-3;
+FEW = 3  # joints; of six (KR300, TX40, a UR10) it is 3e-3 to 1.2e-2, as each joint has causes of its own
 LEAST = 8_000  # samples times joints that are looked at, however little time is allowed
 
 

@@ -6,7 +6,7 @@ import pytest
 from study.cases import make
 from study.run import diagnosed
 from study.score import outcome
-from support.thorough import sample, thorough
+from support.thorough import sample
 
 HARD = {
     33: "a delay whose torque is a quarter of the torque tolerance, and all that there is beside noise",
@@ -26,7 +26,6 @@ NOISE = {
 }
 
 
-@thorough
 @pytest.mark.parametrize("number", sample([*HARD, *NOISE], one_in=5), ids=lambda n: {**HARD, **NOISE}[n])
 def test_a_small_cause_is_named_beside_an_inexact_model(number: int) -> None:
     record = diagnosed(make("single", number))

@@ -38,7 +38,6 @@ def test_two_recordings_know_a_cause_better_than_one() -> None:
     assert any("all 2 recordings" in note for note in both.notes)
 
 
-@thorough
 @pytest.mark.parametrize(
     ("name", "number", "values"),
     sample(

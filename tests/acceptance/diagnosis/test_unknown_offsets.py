@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from planting import ROBOTS, Planted, plant
 from support.diagnose_cases import SENSORS, as_recording, nominal, summary
-from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
@@ -59,7 +58,6 @@ def test_a_stiffness_beside_unknown_offsets_leaves_the_noise(scale: float) -> No
     assert right.energy < 1.3 * problem.noise_energy
 
 
-@thorough
 @pytest.mark.parametrize(
     ("excitation", "cause"),
     [
