@@ -98,7 +98,7 @@ class Chains(Laws):
         signals = self._seen(readings, torque, moving=bool(effects))
         spring_hat = np.zeros_like(theta_hat)
         if not joint.rigid:
-            linear = readings.spring_hat if nominal else (drive.K + drive.D * s) * (theta_hat - q_hat)
+            linear = readings.spring_hat if nominal else (drive.K + drive.D * s) * readings.phi_hat
             spring_hat = self._spring(drive, signals, linear, at)
         if effects:
             signals.tau_t = self._transmitted(i, readings, spring_hat)
@@ -106,7 +106,7 @@ class Chains(Laws):
         motor_hat = torque_hat - shaft_hat
         for e, edited in gated:
             motor_hat, spring_hat = self._gated_drive(
-                e, drive, edited, motor_hat, spring_hat, q_hat, theta_hat
+                e, drive, edited, motor_hat, spring_hat, readings.phi_hat, theta_hat
             )
         turning = self.shafts.torque(i, every)
         if turning is not None:
@@ -133,11 +133,9 @@ class Chains(Laws):
 
     def _seen(self, readings: JointReadings, torque: np.ndarray, moving: bool = True) -> Signals:
         """What laws see of a joint's positions and command; of speeds only where it is `moving`."""
-        q, theta = readings.q, readings.theta
-        signals = Signals(t=self.t, q=q, theta=theta, phi=theta - q, tau_m=torque)
+        signals = Signals(t=self.t, q=readings.q, theta=readings.theta, phi=readings.phi, tau_m=torque)
         if moving:
-            signals.dtheta, signals.dq = readings.dtheta, readings.dq
-            signals.dphi = signals.dtheta - signals.dq
+            signals.dtheta, signals.dq, signals.dphi = readings.dtheta, readings.dq, readings.dphi
         return signals
 
     def slightly(self, i: int, effects: Sequence[Planned], now: Planned) -> np.ndarray | None:
@@ -237,7 +235,7 @@ class Chains(Laws):
         edited: Drive,
         motor: np.ndarray,
         spring: np.ndarray,
-        q_hat: np.ndarray,
+        phi_hat: np.ndarray,
         theta_hat: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """A change of K, D, B or D_m that sets in during the recording: its torque, gated in time."""
@@ -246,7 +244,7 @@ class Chains(Laws):
         shaft = ((edited.B - drive.B) * s**2 + (edited.D_m - drive.D_m) * s) * theta_hat
         motor = motor - self.filter.spectrum(gate * self.time_series(shaft))
         if np.isfinite(drive.K):
-            twist = ((edited.K - drive.K) + (edited.D - drive.D) * s) * (theta_hat - q_hat)
+            twist = ((edited.K - drive.K) + (edited.D - drive.D) * s) * phi_hat
             spring = spring + self.filter.spectrum(gate * self.time_series(twist))
         return motor, spring
 

@@ -32,6 +32,13 @@ class JointReadings:
         self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
         self.q_hat = window.spectrum(self.q) * window.gain
         self.theta_hat = window.spectrum(self.theta) * window.gain
+        self.phi, self.phi_hat = self.theta - self.q, self.theta_hat - self.q_hat
+        # what is known of the deflection beyond the two angles, whatever sensors do to these
+        beyond = readings.phi[i] - (readings.theta[i] - readings.q[i])
+        self._beyond = beyond if np.isfinite(beyond[0]) and np.any(beyond) else None
+        if self._beyond is not None:
+            self.phi += self._beyond
+            self.phi_hat += window.spectrum(self._beyond) * window.gain
 
     @property
     def nbytes(self) -> int:
@@ -52,7 +59,7 @@ class JointReadings:
     def spring_hat(self) -> np.ndarray:
         """Spectrum of the torque of the nominal spring."""
         s = 1j * self._window.omega
-        return np.asarray((self._drive.K + self._drive.D * s) * (self.theta_hat - self.q_hat))
+        return np.asarray((self._drive.K + self._drive.D * s) * self.phi_hat)
 
     @cached_property
     def spring(self) -> np.ndarray:
@@ -119,7 +126,7 @@ class JointReadings:
         readings, smooth = self._readings, self._window.smooth
         size = {name: float(readings.noise[name][self._joint]) for name in ("q", "theta")}
         size["phi"] = float(np.hypot(size["q"], size["theta"]))
-        signals = {"q": self.q, "theta": self.theta, "phi": self.theta - self.q}
+        signals = {"q": self.q, "theta": self.theta, "phi": self.phi}
         noise = {name: x - wiener(x, size[name]) for name, x in signals.items()}
         rates = {f"d{name}": smooth(x, 1) for name, x in noise.items()}
         return Signals(**noise, **rates)
@@ -139,3 +146,8 @@ class JointReadings:
     @cached_property
     def dtheta(self) -> np.ndarray:
         return self._window.smooth(self.theta, 1)
+
+    @cached_property
+    def dphi(self) -> np.ndarray:
+        dphi = self.dtheta - self.dq
+        return dphi if self._beyond is None else dphi + self._window.smooth(self._beyond, 1)

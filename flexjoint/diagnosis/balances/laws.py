@@ -95,7 +95,7 @@ class Laws:
     def signals(self, i: int, effects: Sequence[Planned]) -> Signals:
         """What laws may see of joint i, nominal springs assumed."""
         r, torques = self.readings(i, self.sensors(i, effects)), self.torques()
-        s = Signals(self.t, r.q, r.dq, r.theta, r.dtheta, r.theta - r.q, r.dtheta - r.dq, tau_m=torques[i])
+        s = Signals(self.t, r.q, r.dq, r.theta, r.dtheta, r.phi, r.dphi, tau_m=torques[i])
         from_load = self.motion.robot.joints[i].rigid or self.floats(i)
         s.tau_t = self.motion.rigid.tau[i] if from_load else r.spring
         s.tau_m_before, s.tau_m_after = neighbours(torques, i)

@@ -183,8 +183,7 @@ class Columns:
         columns: list[np.ndarray] = []
         for i, joint in enumerate(self.robot.joints):
             drive, s = joint.drive, self.balances.chains.jomega
-            theta = self._spectrum(self.motion.theta[i])
-            phi = theta - self._spectrum(self.motion.q[i])
+            phi = self.balances.chains.base(i).phi_hat
             turns = self.balances.chains.ties.turns(i)  # of its motor by joint
             turned = sum(n * self._spectrum(self.motion.theta[j]) for j, n in turns.items())
             shaft = {"motor_inertia": drive.B * s**2 * turned, "motor_damping": drive.D_m * s * turned}

@@ -38,12 +38,14 @@ class Readings:
 
     `torque` is the motor torque at the sample times: a command is moved by half its hold, a measured
     torque is not. `valid` (N,) marks samples whose surroundings were measured. `noise` maps a channel to
-    its predicted standard deviation per sample (n,), quantisation included.
+    its predicted standard deviation per sample (n,), quantisation included. `phi` is theta - q; of readings
+    without their noise it is that of less noise than the two angles'.
     """
 
     time: np.ndarray
     q: np.ndarray
     theta: np.ndarray
+    phi: np.ndarray
     tau_t: np.ndarray
     torque: np.ndarray
     commanded: np.ndarray  # (n,) bool: torque is a command (held), not a measurement
@@ -107,7 +109,7 @@ def prepare(robot: Robot, recording: Recording, settings: Settings = USUAL) -> R
         )
     sigma = max(signals.filter_seconds, FILTER_SAMPLES * slowest)
     return Readings(
-        time, **channels, commanded=commanded, feedback=feedback,
+        time, **channels, phi=channels["theta"] - channels["q"], commanded=commanded, feedback=feedback,
         valid=_shrink(valid, margin(sigma, signals), period), noise=noise, steps=steps, sigma=sigma,
         start=float(recording.time[0]), recording=recording, settings=settings,
     )  # fmt: skip
@@ -227,18 +229,20 @@ def centred(robot: Robot, readings: Readings) -> Readings:
         apart = theta[i] - readings.q[i] - readings.tau_t[i] / joint.drive.K
         if not joint.rigid and np.all(np.isfinite(apart)):
             theta[i] -= np.mean(apart[readings.valid])
-    return replace(readings, theta=theta)
+    return replace(readings, theta=theta, phi=theta - readings.q)
 
 
 def denoised(readings: Readings) -> Readings:
     """The readings with everything passed through a Wiener filter: each frequency is kept to the share of its
-    power that is not the predicted white noise."""
+    power that is not the predicted white noise. The deflection is filtered by itself: that of a stiff spring
+    is far smaller than the motion, which keeps more of the noise of two angles than their difference can."""
     clean = {}
-    for name in ("q", "theta", "tau_t", "torque"):
+    noise = {**readings.noise, "phi": np.hypot(readings.noise["q"], readings.noise["theta"])}
+    for name in ("q", "theta", "phi", "tau_t", "torque"):
         signals = getattr(readings, name).copy()
         for i, x in enumerate(signals):
             if np.isfinite(x[0]):
-                signals[i] = wiener(x, readings.noise[name][i])
+                signals[i] = wiener(x, float(noise[name][i]))
         clean[name] = signals
     return replace(readings, **clean)
 

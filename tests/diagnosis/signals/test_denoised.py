@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import chirp
 
-from flexjoint.diagnosis.signals.signals import wiener
+from flexjoint.diagnosis.signals.signals import Readings, denoised, wiener
+from flexjoint.recording.table import make
 
 RATE = 250.0
 T = np.arange(1500) / RATE
@@ -47,3 +48,23 @@ def test_what_has_no_noise_stays_as_it_is() -> None:
 @pytest.mark.parametrize("count", [40, 511, 512, 513])
 def test_short_recordings_keep_their_length(count: int) -> None:
     assert wiener(T[:count], 1e-3).shape == (count,)
+
+
+def test_a_small_deflection_has_less_noise_than_the_difference_of_two_angles() -> None:
+    """A stiff spring's deflection seen by its noise would look softer than it is: the more of the motion's
+    frequencies two angles keep, the more of their noise is between them."""
+    rng, channels = np.random.default_rng(5), ("q", "theta", "tau_t", "torque")
+    motion = np.sum([1e-3 * np.sin(2.0 * np.pi * f * T + f) for f in range(1, 40)], axis=0)
+    deflection = 2.0 * NOISE * np.sin(2.0 * np.pi * 0.7 * T)
+    angles = np.array([motion, motion + deflection]) + NOISE * rng.standard_normal((2, T.size))
+    q, theta, absent = angles[:1], angles[1:], np.full((1, T.size), np.nan)
+    readings = Readings(
+        T, q, theta, theta - q, absent, absent,
+        commanded=np.zeros(1, dtype=bool), feedback=np.zeros(1), valid=np.ones(T.size, dtype=bool),
+        noise={name: np.full(1, NOISE) for name in channels}, steps={name: np.zeros(1) for name in channels},
+        sigma=2.0 / RATE, start=0.0, recording=make(T, {("q", "joint"): q[0]}),
+    )  # fmt: skip
+
+    clean = denoised(readings)
+
+    assert np.std(clean.phi[0] - deflection) < 0.5 * np.std(clean.theta[0] - clean.q[0] - deflection)

@@ -29,7 +29,7 @@ def read(torque: np.ndarray, commanded: bool = True) -> Readings:
     absent, valid = np.full((1, torque.size), np.nan), np.ones(torque.size, dtype=bool)
     time = PERIOD * np.arange(torque.size)
     return Readings(
-        time, absent, absent, absent, torque[None],
+        time, absent, absent, absent, absent, torque[None],
         commanded=np.array([commanded]), feedback=np.zeros(1), valid=valid, noise=none, steps=none,
         sigma=2.0 * PERIOD, start=0.0, recording=make_recording(time, {("tau_m", "joint"): torque}),
     )  # fmt: skip
