@@ -11,6 +11,8 @@ from flexjoint.diagnosis.balances.motion import Motion
 from flexjoint.diagnosis.signals.signals import Wiener, wiener
 from flexjoint.effects import Signals
 
+OCTAVE = 2.0  # factor in frequency, down and up, over which a power is averaged: gains that change faster ...
+FEWEST = 9  # ... with it, or over fewer frequencies at its lower end, would reach further in time
 ROUNDING = 1e-4  # of a torque: as well as filters and interpolation keep it
 
 
@@ -27,6 +29,7 @@ class JointReadings:
         self.q, self.theta, self.tau_t = true
         self._window, self._drive = window, motion.robot.joints[i].drive
         self._readings, self._joint = readings, i
+        self._tolerance = motion.robot.tolerance
         self._complete = not any(joint == i for _, joint in motion.missing)
         self.driven = bool(np.isfinite(readings.torque[i, 0]))
         self.torque = readings.torque[i] if self.driven else np.zeros(window.count)
@@ -68,16 +71,29 @@ class JointReadings:
     @cached_property
     def precisions(self) -> np.ndarray:
         """(3, F) one over the variance with which encoders, motor and torque sensor give the spring's torque,
-        at each frequency; 0 for one that is missing."""
+        at each frequency; 0 for one that is missing. Encoders and motor give it by nominal numbers that are
+        known to their tolerances: of a preload by gravity a stiffness that is 2 % off makes more of an error
+        than a sensor's noise does, and than a small friction at rest is."""
         s, noise, j = 1j * self._window.omega, self._readings.noise, self._joint
         by_q, by_theta, by_sensor, by_torque = (noise[c][j] ** 2 for c in ("q", "theta", "tau_t", "torque"))
         encoders = np.abs(self._drive.K + self._drive.D * s) ** 2 * (by_q + by_theta)
         motor = by_torque + np.abs(self._drive.B * s**2 + self._drive.D_m * s) ** 2 * by_theta
+        encoders += self._tolerated(self._tolerance.stiffness * self.spring_hat)
+        motor += self._tolerated(self._tolerance.inertial * self.shaft_hat)
         sensor = np.full_like(encoders, by_sensor)
         # what is not noise is known to no more than rounding
         least = (ROUNDING * float(np.std(self.spring))) ** 2 + 1e-300
         known = np.array([self._complete, self.driven and self._complete, np.isfinite(self.tau_t[0])])
         return np.where(known[:, None], 1.0 / np.maximum([encoders, motor, sensor], least), 0.0)
+
+    def _tolerated(self, error_hat: np.ndarray) -> np.ndarray:
+        """(F,) variance per sample of white noise that has the mean power of an error (F,) about each
+        frequency."""
+        total = np.concatenate([[0.0], np.cumsum(np.abs(error_hat) ** 2)])
+        places, count = np.arange(error_hat.size), error_hat.size
+        low = (places / OCTAVE).astype(int)
+        high = np.minimum((places * OCTAVE).astype(int) + FEWEST, count)
+        return np.asarray((total[high] - total[low]) / (high - low) / self._window.count)
 
     def combined(
         self, spring_hat: np.ndarray, reading: np.ndarray, motor_hat: np.ndarray | None = None
