@@ -56,7 +56,7 @@ def findings(
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
         rivals = tuple(rival for rival in rivals if not needs_implausible(rival, best))
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
-        left, share = left_by(best, selection.nothing, k)
+        left, share = left_by(best, k)
         believed = reliability(best, left, share, k)
         if not spoils(data, k):
             believed = max(believed, on_background(cleared[k], joints, limits, beside, rubbing[k]))

@@ -24,20 +24,20 @@ def test_a_name_is_believed_by_what_it_leaves() -> None:
     problem = Problem(balances_of(nominal(case.robot), as_recording(case.with_causes(friction))))
     true = fit(problem, [effect("motor_coulomb_friction", "turn", level=0.4)])
     other = fit(true.problem, [effect("motor_viscous_friction", "turn", coefficient=0.4)])
-    nothing = at_own_level(fit(true.problem, []))
-    (left, share), (other_left, other_share) = (left_by(one, nothing, 0) for one in (true, other))
+    (left, share), (other_left, other_share) = (left_by(one, 0) for one in (true, other))
 
     assert left < 30.0
     assert other_left > 1000.0
     assert share < 1e-3 < other_share
     assert reliability(true, left, share) > 0.5
     assert reliability(other, other_left, other_share) < 0.2
-    assert 0.2 < reliability(other, other_left, share) < 0.5  # so thorough a cause stays a cause
+    assert reliability(other, other_left, share) > reliability(other, other_left, other_share)
+    assert reliability(other, left, other_share) > reliability(other, other_left, other_share)
     implausible = replace(true, problem=true.problem.at(NoiseLevel(true.problem.level.inflation, 2.0)))
     assert reliability(implausible, left, share) < reliability(true, left, share)
     two, three = (replace(true, effects=count * true.effects) for count in (2, 3))
     assert reliability(two, left, share) == reliability(true, left, share)
-    assert reliability(three, left, share) < 0.5  # something that has no name is more likely
+    assert reliability(three, left, share) < reliability(two, left, share)  # one without a name is likelier
 
 
 def test_a_friction_lost_in_its_springs_noise_answers_for_what_its_link_shows() -> None:
@@ -50,7 +50,7 @@ def test_a_friction_lost_in_its_springs_noise_answers_for_what_its_link_shows() 
     recorded = plant(ROBOTS / "lever_exact.yaml", [two], "rich", 8.0, 3, sensors)
     problem = Problem(balances_of(nominal("lever_exact"), as_recording(recorded)))
     one = fit(problem, [effect("motor_coulomb_friction", "swing", level=0.7)])
-    left, share = left_by(one, at_own_level(fit(problem, [])), 0)
+    left, share = left_by(one, 0)
 
     assert left > 300.0
     assert reliability(one, left, share) < 0.2
