@@ -86,7 +86,8 @@ def on_background(
     shaped = settings.background_shaped * max(size, friction or 0.0)
     odds -= settings.background_shape * _decades(removed.structured / shaped)
     if friction is None:
-        odds -= settings.background_more * _decades(beyond_noise / usual)
+        # the joint's torque does not show what is left of its spring's, which acts on both sides
+        odds -= settings.background_more * _decades(max(beyond_noise, removed.structured) / usual)
         odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 
