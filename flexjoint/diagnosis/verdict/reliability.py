@@ -1,11 +1,11 @@
 """How reliable the name of a cause is, from what is left beside it.
 
 A cause that explains all that is wrong in its balances leaves only the sensors' noise in them; a wrong one,
-named instead of another, leaves more, and more of what it found: the model of a friction that sticks, or of a
-fast motion, is never right to a thousandth, and a wrong law seldom to a hundredth. On planted machines, some
-of which have an effect that is in no catalogue, it was counted how often a name was right, by the variance
-that was left, and by its share of what is left without the cause. A logistic curve through these counts gives
-the probability; docs/studies/diagnosis_study.md shows how well it holds.
+named instead of another, leaves more, and more of what it found: the model of a friction that sticks is right
+to some share of what it explains only. On planted machines, some of which have an effect that is in no
+catalogue, it was counted how often a name was right, by the variance that was left, and by its share of what
+was there. A logistic curve through these counts gives the probability; docs/studies/unseen_machines.md shows
+how well it holds.
 """
 
 from __future__ import annotations
@@ -70,11 +70,11 @@ def on_background(
     """Probability that a name is right on a machine that also has a background: many small errors that nobody
     names. It grows with the torque that the cause removes over what a background is at most: the usual one,
     or what is left of the joint's torque where that is less, down to the least one. It is lower where more is
-    left than a usual background and the sensors' noise, where a smooth law of one signal would remove much of
-    that, and where many causes are needed on one joint: `beside` counts the convincing ones there, this one
-    included. Ordinary friction every machine has: whatever else is left, or acts beside it, says nothing
-    against it, and a shape that is left is held against all friction of its joint, which removes `friction`
-    [N m] together."""
+    left than a usual background and the sensors' noise, or so much with a shape in the cause's own balance,
+    where a smooth law of one signal would remove much of that, and where many causes are needed on one joint:
+    `beside` counts the convincing ones there, this one included. Ordinary friction every machine has:
+    whatever else is left, or acts beside it, says nothing against it, and a shape that is left is held
+    against all friction of its joint, which removes `friction` [N m] together."""
     own = next((j for j in joints if j.joint == removed.joint), None)
     if own is None or own.torque <= 0.0:
         return 0.0
