@@ -506,6 +506,12 @@ class SearchSettings(Stage):
         "that a delay or a lag must explain: chance gives 2, and the search takes the best of many",
         "theory: moving noise n against noise m changes an energy by 2 m dn",
     )
+    sliding: float = number(
+        9.0,
+        "energy (chi-square)",
+        "that a dry friction must explain while its body slides: at rest it takes up the noise of what pulls",
+        "theory: three standard deviations",
+    )
     between_samples: float = number(
         0.1,
         "sampling periods",

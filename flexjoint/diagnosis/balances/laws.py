@@ -119,6 +119,12 @@ class Laws:
         error = base.speed_errors[name] if self.is_twin else np.full(speed.size, noise)
         return Speed(speed, error, np.zeros(speed.size), 0.0)
 
+    def moves(self, i: int, name: str) -> np.ndarray:
+        """(N,) bool, where a speed (dq, dtheta) of joint i tells which way it goes."""
+        base = self.base(i)
+        speed = self.speed(i, name, Signals(dq=base.dq, dtheta=base.dtheta))
+        return np.asarray(np.abs(speed.clean) > self.friction.rest_speed(speed.error))
+
     def floats(self, i: int) -> bool:
         """Whether the torque of joint i's spring is known up to a constant only: with unknown encoder offsets
         and no torque sensor (by which they are centred)."""

@@ -19,6 +19,7 @@ from flexjoint.rigidbody.numeric import PinBody, inertial_of
 from flexjoint.robot.robot import Robot
 
 DRIVEN_SUBSTEPS = 2  # per sample, where a link's motion is simulated from its motor's
+DRIVEN_SHARE = 0.05  # of the filter's variance, by which that is smoothed: what it takes off, the link lacks
 REGRESSOR_CHUNK = 1000  # samples evaluated at a time
 ROWS = 8  # filtered at a time: of the largest excerpt 15 megabytes
 
@@ -306,13 +307,14 @@ def _driven_links(
     passive: dict[str, np.ndarray],
 ) -> None:
     """Links without encoder, driven by their measured motors through the nominal spring, in place: linearly
-    implicit midpoint steps on M q'' + nle = K (theta - q) + D (theta' - q'), the other links as measured."""
+    implicit midpoint steps on M q'' + nle = K (theta - q) + D (theta' - q'), the other links as measured.
+    Motors move by cubic polynomials between samples."""
     body = PinBody(robot.model, inertial=links.inertial)
     drives = [links.drives[i] for i in joints]
     stiff, damp = np.array([d.K for d in drives]), np.array([d.D for d in drives])
     at, v, a = whole_motion(robot, window, q, passive, 0.25)
     h = window.period / DRIVEN_SUBSTEPS
-    motor = np.stack([window.smooth_share(theta[joints], 0.25, order) for order in (0, 1)])
+    angle, turning = (window.smooth_share(theta[joints], DRIVEN_SHARE, order) for order in (0, 1))
     columns_q, columns_v = (
         _columns([getattr(robot.joints[i], k) for i in joints]) for k in ("idx_q", "idx_v")
     )
@@ -324,21 +326,35 @@ def _driven_links(
     give = 0.5 * h * stiff + damp
     added = np.diag(0.5 * h * give)
     # ten thousand steps of a few numbers each: what a step need not do shows
-    after = motor[:, :, np.minimum(np.arange(window.count) + 1, window.count - 1)]
-    middles = [motor + (after - motor) * (sub + 0.5) / DRIVEN_SUBSTEPS for sub in range(DRIVEN_SUBSTEPS)]
-    turned = np.stack([middle[0].T for middle in middles], axis=1)  # (N, substeps, joints)
-    dragged = np.stack([damp * middle[1].T for middle in middles], axis=1)
+    parts = [(sub + 0.5) / DRIVEN_SUBSTEPS for sub in range(DRIVEN_SUBSTEPS)]
+    turned = np.stack([_between(angle, turning, window.period, part).T for part in parts], axis=1)
+    rates = [turning + part * (_next(turning) - turning) for part in parts]
+    dragged = np.stack([damp * rate.T for rate in rates], axis=1)  # (N, substeps, joints), as `turned`
     a[:, columns_v] = 0.0
+    turn = np.zeros(len(joints))
     for k, (here_q, here_v, here_a) in enumerate(zip(at, v, a, strict=True)):
         q[joints, k] = place
-        for angle, drag in zip(turned[k], dragged[k], strict=True):
+        for there, drag in zip(turned[k], dragged[k], strict=True):
             here_q[columns_q] = place + 0.5 * h * speed
-            here_v[columns_v] = speed
+            here_v[columns_v] = speed + 0.5 * h * turn  # by the last step's acceleration
             bias = body.rnea(here_q, here_v, here_a)[columns_v]
             mass = body.mass_matrix(here_q)[rows, columns_v]
-            pull = stiff * (angle - place) + drag - give * speed - bias
+            pull = stiff * (there - place) + drag - give * speed - bias
             turn = lapack.dgesv(mass + added, pull)[2]
             place, speed = place + h * (speed + 0.5 * h * turn), speed + h * turn
+
+
+def _next(x: np.ndarray) -> np.ndarray:
+    """(..., N) each sample's next one; the last stays."""
+    return np.concatenate([x[..., 1:], x[..., -1:]], axis=-1)
+
+
+def _between(x: np.ndarray, v: np.ndarray, period: float, part: float) -> np.ndarray:
+    """(..., N) a signal at a part of the period after each sample, by cubic polynomials that have its values
+    and rates at the samples (Hermite)."""
+    rest = 1.0 - part
+    ends = (1.0 + 2.0 * part) * rest**2 * x + (1.0 + 2.0 * rest) * part**2 * _next(x)
+    return np.asarray(ends + period * part * rest * (rest * v - part * _next(v)))
 
 
 def _columns(indices: list[int]) -> slice | np.ndarray:

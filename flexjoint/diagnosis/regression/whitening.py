@@ -8,7 +8,7 @@ The whitened residual of a healthy robot then has energy 1 per degree of freedom
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,6 +30,7 @@ CHUNK = 512  # frequencies at a time
 UNBOUNDED = 1e4  # noise of a missing position, relative to the largest encoder noise there is
 AROUND = 9  # ... as the mean over so many samples ...
 DRAWS, DRAWN = 6, 5  # ... and draws, of this seed
+SAMPLES = 24  # draws of a noise, which tell a mean chi-square of two numbers to 20 %
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,14 @@ class Whitening:
         window = self.noise.balances.filter
         own = np.einsum("faa->fa", self.noise.spectrum(window.omega[::8], window.gain[::8])).real
         return np.asarray(np.sqrt(np.mean(own, axis=0) + self.floor**2))
+
+    @cached_property
+    def drawn(self) -> np.ndarray:
+        """(draws, m K) the predicted noise drawn at random, whitened. A whitening takes the robot for one of
+        constant inertia; along a motion the noise of one encoder reaches several links by inertias that vary,
+        so that some correlation of their balances is left, which these draws have."""
+        drawn = self.noise.drawn(SAMPLES, self.taper.size, np.random.default_rng(DRAWN))
+        return np.array([self.white(self.band_of(dict(enumerate(one)))).ravel() for one in drawn])
 
     def apply(self, spectra: np.ndarray) -> np.ndarray:
         """(m, F) -> (m, K): whitened series at the usable samples."""
@@ -281,6 +290,39 @@ class Noise:
             both = self._adding(i, omega)[:, None, None] * torque[:, :, None] * theta.conj()[:, None, :]
             spread = spread + both + both.conj().swapaxes(1, 2)
         return np.asarray((spread + extra) * (gain**2)[:, None, None])
+
+    def drawn(self, count: int, band: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
+        """(m, N) of the balances, so many draws, with the inertias as they are along the motion, in the first
+        `band` frequencies. Positions without a sensor have no noise."""
+        window, n = self.balances.filter, len(self.drives)
+        omega, gain = window.omega[:band], window.gain[:band]
+        deviations = np.sqrt(self._coloured(omega)).T
+        deviations[[k if channel == "q" else n + k for channel, k in self.balances.motion.missing]] = 0.0
+        white = [fft.rfft(rng.standard_normal((4 * n, window.size)))[:, :band] for _ in range(count)]
+        readings = np.array(white) * (deviations * gain)
+        spectra = np.empty((count, len(self.balances.rows), band), dtype=complex)
+        for begin in range(0, band, CHUNK):
+            part = slice(begin, begin + CHUNK)
+            transfer, _ = self.at(omega[part])
+            of_all = transfer @ readings[:, :, part].transpose(2, 1, 0)  # (F, m, draws)
+            spectra[:, :, part] = of_all.transpose(2, 1, 0)
+        joints = self.balances.motion.robot.joints
+        links = [n + k if joint.rigid else k for k, joint in enumerate(joints)]  # their angles
+        for own, noise in zip(spectra, readings, strict=True):
+            yield self._along_motion(own, -(omega**2) * noise[links])
+
+    def _along_motion(self, spectra: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
+        """(m, N) balances of these spectra (m, F), and what the noise of the links' accelerations (n, F) adds
+        where inertias differ from their mean."""
+        window, joints = self.balances.filter, self.balances.motion.robot.joints
+        both = fft.irfft(np.concatenate([spectra, accelerations]), window.size)[:, : window.count]
+        series, turning = both[: len(spectra)], both[len(spectra) :]
+        beyond = self.balances.motion.rigid.mass - self.load[2]
+        for r, row in enumerate(self.balances.rows):
+            if row.balance == LINK or joints[row.joint].rigid:
+                scale = self.scales[row.joint] if row.balance == MOTOR else 1.0
+                series[r] -= scale * np.einsum("tk,kt->t", beyond[:, row.joint], turning)
+        return np.asarray(series)
 
     def _coloured(self, omega: np.ndarray) -> np.ndarray:
         """(F, 4 n) variances, as white noise would have to have them at each frequency."""

@@ -183,7 +183,8 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
             return False
     if contradicted(trial, without):
         return False
-    return shown_by_motion(trial, gained, added) and material(trial, added, gained)
+    beyond_chance = gained >= paid * _chance(trial, gained, added)
+    return beyond_chance and shown_by_motion(trial, gained, added) and material(trial, added, gained)
 
 
 def _left_beside(trial: Fit, added: Planned) -> float:
@@ -327,7 +328,9 @@ def shown_by_motion(trial: Fit, gained: float, added: Planned) -> bool:
     """Whether the energy that `added` explains comes from the motion and not from the sensors' noise. A law
     of little energy (a gap as wide as the noise) may lower the energy by making the noise smaller; along the
     denoised recording it then explains nothing. An effect that shifts signals in time moves their noise n
-    against the noise m of the other sensors, which changes the energy by chance, by 2 m dn; so does a lag."""
+    against the noise m of the other sensors, which changes the energy by chance, by 2 m dn; so does a lag.
+    And a dry friction holds a body at rest against whatever pulls at it, which is known to the sensors' noise
+    and rounding only: it must show where the body slides, too."""
     limits = trial.settings.search
     problem = trial.problem
     if (
@@ -343,7 +346,45 @@ def shown_by_motion(trial: Fit, gained: float, added: Planned) -> bool:
         moved_noise = _moved_noise(problem, others, trial.effects)
         if gained < limits.moved_noise * moved_noise:
             return False
+    if added.effect.overrides("level") and _explained_sliding(trial, before, added) < limits.sliding:
+        return False
     return denoised >= limits.denoised_share * measured
+
+
+def _chance(trial: Fit, gained: float, added: Planned) -> float:
+    """Energy that the sensors' noise alone has along the traces of an effect's numbers, beside those of the
+    others, in that of white noise: above 1 where the noise that one encoder makes is correlated among the
+    balances of several links, or where it is louder than elsewhere. At least 1; a composite likelihood is
+    adjusted by the same factor (Varin, Reid and Firth 2011)."""
+    if gained >= trial.settings.search.beyond_noise:
+        return 1.0
+    shown = np.any(trial.tangents, axis=1)
+    own = shown & np.array([trial.effects[slot.effect] is added for slot in trial.slots])
+    if not np.any(own):
+        return 1.0
+    noise = trial.problem.whitening.drawn
+    by_all, by_others = (_along(trial, which, noise) for which in (shown, shown & ~own))
+    return max(1.0, float(np.mean(by_all - by_others)) / int(np.sum(own)))
+
+
+def _along(trial: Fit, which: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """(draws,) energy of noise (draws, samples) that some of a fit's numbers explain."""
+    tangents = trial.tangents[which]
+    if not len(tangents):
+        return np.zeros(len(noise))
+    normal, slope = trial.problem.product(tangents, tangents), trial.problem.product(tangents, noise)
+    return np.asarray(np.sum(slope * (np.linalg.pinv(normal, hermitian=True) @ slope), axis=0))
+
+
+def _explained_sliding(trial: Fit, before: np.ndarray, added: Planned) -> float:
+    """Energy of a residual `before` that a dry friction explains at samples at which its body slides."""
+    problem = trial.problem
+    speed = "dtheta" if added.effect.site is Site.MOTOR else "dq"
+    joint = problem.robot.joint_names.index(str(added.joint))
+    sliding = problem.balances.chains.moves(joint, speed)
+    nearest = np.rint(problem.time / problem.readings.period).astype(int)
+    there, left = (np.sum(problem.rest_by_row(y) ** 2, axis=0) for y in (before, trial.y))
+    return float(np.sum((there - left)[sliding[nearest]]))
 
 
 def _moved_noise(problem: Problem, effects: Sequence[Planned], others: Sequence[Planned]) -> float:

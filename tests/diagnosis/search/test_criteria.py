@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from planting import FULL, ROBOTS, Planted, plant, robot_file
+from planting import FULL, NO_COMMAND, ROBOTS, Planted, plant, robot_file
 from study.cases import COUNTS, make
 from support.diagnose_cases import Case, as_recording, found_in, nominal, summary
 from support.thorough import thorough
@@ -425,3 +425,29 @@ def test_a_gap_below_the_step_of_an_encoder_is_not_seen(resolution: float, seen:
     assert degenerate(problem, effect("backlash", "swing", gap=2e-4)) is not seen
     assert not degenerate(problem, effect("backlash", "swing", gap=6e-4))
     assert not degenerate(problem, effect("link_encoder_offset", "swing", offset=2e-4))  # a mean
+
+
+def test_a_friction_must_show_where_its_joint_slides() -> None:
+    """Without a command or a current, the motor's torque is computed from readings that are rounded: at rest
+    a friction takes up what that leaves of it, and explains much; where the motor slides it explains
+    nothing. A friction that is there shows in both."""
+    sensors = replace(
+        NO_COMMAND,
+        noisy_feedback=False,
+        resolution=5e-5,
+        noise={"q": 1e-5, "theta": 1e-5, "dq": 5e-3, "dtheta": 5e-3, "tau_t": 0.05},
+    )
+    gained, sliding, named = [], [], []
+    for causes in ([], [Planted("motor_coulomb_friction", "turn", {"level": 0.06})]):
+        recorded = plant(robot_file("turret"), causes, "steps", 6.0, 2, sensors, rate=250.0)
+        problem = Problem(balances_of(nominal("turret"), as_recording(recorded)))
+        without = fit(problem, [])
+        trial = fit(problem, [Planned.of("motor_coulomb_friction", "turn", {"level": 0.01})])
+        gained.append(without.energy - trial.energy)
+        sliding.append(criteria._explained_sliding(trial, without.y, trial.effects[0]))
+        named.append(supported(trial, without, trial.effects[0]))
+
+    limit = USUAL.search.sliding
+    assert gained[0] > USUAL.search.price
+    assert sliding[0] < 0.0 < limit < sliding[1]
+    assert named == [False, True]
