@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from flexjoint.core.errors import RecordingError, unknown
-from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, within
 from flexjoint.core.running.worker_pool import one_thread, workers_of
 from flexjoint.diagnosis.balances.balances import TwinBalances, balances_of
 from flexjoint.diagnosis.balances.usable import refusal
@@ -30,7 +30,7 @@ from flexjoint.diagnosis.search.selection import Key, Selection, select
 from flexjoint.diagnosis.search.together import combine
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
 from flexjoint.diagnosis.signals.excerpt import excerpts
-from flexjoint.diagnosis.verdict import checks, held_out, verdict
+from flexjoint.diagnosis.verdict import checks, verdict
 from flexjoint.diagnosis.verdict.cases import Case, SimulatedCase, StatedCase
 from flexjoint.diagnosis.verdict.experiment import advice
 from flexjoint.diagnosis.verdict.joints.by_itself import joint_by_joint
@@ -45,8 +45,12 @@ from flexjoint.recording.table import Recording, expect_several
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 
+NO_EFFECT = "no effect in the catalogue explains it"
+BEATS = "beats the sensors' noise and the model's own tolerances"
 SEARCHED = 0.92  # share of the progress that the searches are
-SEARCH_TIME = 0.7  # share of the time allowed after which the searches end
+SEARCH_TIME = 0.7  # share of the time allowed after which the search ends
+LOOKING_TIME = 0.9  # and all else that looks for something: what was found is then judged, which is not cut
+ROBUST_LATE = "the time allowed was over before the robust search, where that is needed, was done"
 
 Progress = Callable[[float, str], None]
 
@@ -106,13 +110,14 @@ def diagnose(
     first = _searched(problem, candidates, task.part(0, len(recordings)))
     case, spread, common = _combined(first, robots, recordings, task)
     task.report(0.92, "measuring the gain on held-out data")
-    case = reviewed(_simulated(case, robots[0], recordings[0], problem), checks.SIMULATION)
+    case = reviewed(_simulated(case, robots[0], recordings[0], problem, task), checks.SIMULATION)
     case, robust = _searched_robustly(case, candidates, robots, recordings, task)
     case = reviewed(_joint_by_joint(case, candidates, len(recordings), task), checks.SIMULATION)
     stated = reviewed(_stated(case, spread, refine, len(recordings), task), checks.FINDINGS)
     known = _known(recordings, payloads)
     checked = [notes(stated.trace[a:b]) for a, b in pairwise((0, len(first.trace), len(case.trace), None))]
-    said = (*first.selection.left_out, *checked[0], *common, *cut, *known, *checked[1], *robust, *checked[2])
+    left_out = stated.selection.left_out
+    said = (*left_out, *checked[0], *common, *cut, *known, *checked[1], *robust, *checked[2])
     return replace(_diagnosis(stated, candidates, said, task), data=data)
 
 
@@ -127,9 +132,10 @@ class _Task:
     budget: Budget
 
     def part(self, k: int, count: int) -> _Task:
-        """The task for one of `count` recordings, with its share of the progress."""
+        """The task for one of `count` recordings, with its share of the progress and of the time."""
         share = SEARCHED / count
-        return replace(self, report=_part(self.report, k * share, share))
+        budget = self.budget.part(SEARCH_TIME * (k + 1) / count)
+        return replace(self, report=_part(self.report, k * share, share), budget=budget)
 
 
 def _checked(
@@ -172,8 +178,7 @@ def _balanced(robot: Robot, recording: Recording, settings: Settings) -> tuple[s
 
 def _searched(problem: Problem, candidates: Sequence[Candidate], task: _Task) -> Case:
     """The set of causes that explains a recording by itself, as far as its balances support it."""
-    budget = task.budget.part(SEARCH_TIME)
-    selection = select(problem, candidates, task.report, workers=task.workers, budget=budget)
+    selection = select(problem, candidates, task.report, workers=task.workers, budget=task.budget)
     case = Case(selection, selection.trace)
     return reviewed(reviewed(case, checks.BALANCES), checks.NAMES)
 
@@ -196,12 +201,16 @@ def _combined(
     steps = steps_between(
         first.selection.best, together.selection.best, "recordings", "common set", "for all recordings"
     )
-    return Case(together.selection, (*first.trace, *steps)), together.errors, together.notes
+    left_out = tuple(dict.fromkeys(one for selection in selections for one in selection.left_out))
+    selection = replace(together.selection, left_out=left_out)
+    return Case(selection, (*first.trace, *steps)), together.errors, together.notes
 
 
-def _simulated(case: Case, robot: Robot, recording: Recording, problem: Problem) -> SimulatedCase:
-    measured = held_out.comparison(robot, recording, problem, case.selection.best)
-    return SimulatedCase(case.selection, case.trace, robot, recording, problem, measured)
+def _simulated(
+    case: Case, robot: Robot, recording: Recording, problem: Problem, task: _Task
+) -> SimulatedCase:
+    budget = task.budget.part(LOOKING_TIME)
+    return SimulatedCase(case.selection, case.trace, robot, recording, problem, budget=budget).simulated()
 
 
 def _searched_robustly(
@@ -213,31 +222,29 @@ def _searched_robustly(
 ) -> tuple[SimulatedCase, tuple[str, ...]]:
     """The case with causes that the simulation confirms, that of every recording, where only implausible
     nominal numbers would explain an error of the first, and notes."""
+    budget = task.budget.part(LOOKING_TIME)
+    if budget.spent:
+        return case, (ROBUST_LATE,)
     if case.measured is None or not _undecided(case.selection):
         return case, ()
-    if task.budget.spent:
-        return case, ("the time allowed was over before the robust search, which the rest asks for",)
     report = _part(task.report, SEARCHED, 0.02)
-    again = search_robustly(case.robot, case.recording, case.problem, case.selection, candidates, report)
-    if again is not None and len(recordings) > 1:
-        again = confirmed(again, case.selection, robots[1:], recordings[1:])
+    try:
+        with within(budget):
+            again = search_robustly(
+                case.robot, case.recording, case.problem, case.selection, candidates, report
+            )
+            if again is not None and len(recordings) > 1:
+                again = confirmed(again, case.selection, robots[1:], recordings[1:])
+    except OutOfTimeError:
+        return case, (ROBUST_LATE,)
     if again is None:
         return case, ()
     why = "the simulation of the joint needs it"
     steps = steps_between(
         case.selection.best, again.selection.best, "robust search", "simulation of the joint", why
     )
-    measured = held_out.comparison(
-        case.robot, case.recording, again.problem, again.selection.best, case.measured
-    )
-    found = replace(
-        case,
-        problem=again.problem,
-        selection=again.selection,
-        measured=measured,
-        trace=(*case.trace, *steps),
-    )
-    return found, again.notes
+    found = replace(case, problem=again.problem, selection=again.selection, trace=(*case.trace, *steps))
+    return found.simulated(), again.notes
 
 
 def _joint_by_joint(
@@ -252,14 +259,11 @@ def _joint_by_joint(
     trusted = not isinstance(case.problem, JointwiseProblem)
     trace: tuple[Step, ...] = ()
     for stage in (FRICTION, JOINT_SEARCH) if trusted else (FRICTION,):
-        before, budget = selection, task.budget.part(SEARCH_TIME)
+        before, budget = selection, task.budget.part(LOOKING_TIME)
         selection = joint_by_joint(selection, candidates, stage, task.workers, budget, report)
-        trace += selection.trace if selection is not before else ()
-    if selection is case.selection:
-        return case
-    best = selection.best
-    measured = held_out.comparison(case.robot, case.recording, case.problem, best, case.measured)
-    return replace(case, selection=selection, measured=measured, trace=(*case.trace, *trace))
+        trace += selection.trace if selection.best is not before.best else ()
+    found = replace(case, selection=selection, trace=(*case.trace, *trace))
+    return found if selection.best is case.selection.best else found.simulated()
 
 
 def _stated(
@@ -277,7 +281,9 @@ def _stated(
         workers=task.workers,
         spread=spread,
         report=task.report,
-        budget=task.budget,
+        refining=task.budget,
+        budget=case.budget,
+        late=case.late,
     )
 
 
@@ -293,7 +299,8 @@ def _diagnosis(
     limits, joints = task.settings.verdict, remaining(case.unseen)
     found = verdict.merged(named, candidates, limits)
     rigid = all(joint.rigid for joint in case.robot.joints)
-    kind, reason = _verdict(found, case.left, case.explained, standing_out(joints, limits), limits, rigid)
+    shaped = standing_out(joints, limits)
+    kind, reason = _verdict(found, case.left, case.explained, shaped, limits, rigid, bool(selection.left_out))
     blind = verdict.not_excited(selection, candidates)
     task.report(1.0, "done")
     return Diagnosis(
@@ -309,7 +316,7 @@ def _diagnosis(
         ranking=verdict.ranking(selection),
         residuals=case.residuals,
         explained=case.explained,
-        notes=(*said, *case.notes, *verdict.not_believed(best)),
+        notes=(*said, *case.late, *case.notes, *verdict.not_believed(best)),
         energy=(
             float(np.mean(selection.nothing.problem.level.inflation)),
             float(np.mean(best.problem.level.inflation)),
@@ -394,6 +401,7 @@ def _verdict(
     joints: Sequence[Remaining],
     settings: VerdictSettings,
     rigid: bool,
+    late: bool,
 ) -> tuple[str, str]:
     there = any(f.probability >= settings.likely for f in found)
     share = f"the causes named explain {100.0 * explained:.0f} % of the error above sensor noise"
@@ -410,8 +418,6 @@ def _verdict(
     if found:
         return "unexplained", f"{share}, but what they leave has a shape: another cause may stand behind them"
     if left or joints:
-        return (
-            "unexplained",
-            "the error is beyond noise and tolerances, but no effect in the catalogue explains it",
-        )
-    return "healthy", "nothing beats the sensors' noise and the model's own tolerances"
+        none = "the time allowed was over before a cause was found" if late else NO_EFFECT
+        return "unexplained", f"the error is beyond noise and tolerances, but {none}"
+    return "healthy", f"nothing {'that was looked at in the time allowed ' if late else ''}{BEATS}"

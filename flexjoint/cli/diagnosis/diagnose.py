@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> None:
         if several:
             if not arguments.quiet:
                 bar(1.0, "comparing the recordings with each other")
-            diagnosis = agreement(nominal, several, diagnosis, payloads=payloads)
+            diagnosis = agreement(nominal, several, diagnosis, payloads=payloads, budget=budget)
         if kept:
             report = silent if arguments.quiet else bar
             diagnosis = learn(nominal, kept, diagnosis, payloads=payloads, budget=budget, progress=report)

@@ -1,5 +1,9 @@
 """The time that work may take: asked at the boundaries between its steps, which are then left out.
 
+Work of many short steps need not be handed its time: `within` says it once for all that is called there, and
+`checkpoint`, which the innermost loops call, ends the work by an error where it is over. Who said it catches
+that and keeps what was whole.
+
 Work without a limit never looks at the clock, and work within its limit gives the same bits as without one.
 """
 
@@ -8,7 +12,9 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 from flexjoint.core.errors import FlexJointError
@@ -21,8 +27,8 @@ _WRITTEN = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)")
 class OutOfTimeError(FlexJointError):
     """The time that was allowed is over."""
 
-    def __init__(self) -> None:
-        super().__init__("the time allowed was over")
+    def __init__(self, text: str = "the time allowed was over") -> None:  # it is sent between processes
+        super().__init__(text)
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,28 @@ class Budget:
 
 
 UNLIMITED = Budget()
+_HERE: ContextVar[Budget] = ContextVar("budget", default=UNLIMITED)
+
+
+@contextmanager
+def within(budget: Budget) -> Iterator[None]:
+    """What is called here ends with OutOfTimeError at the first checkpoint after this time; an inner time
+    takes the place of an outer one."""
+    token = _HERE.set(budget)
+    try:
+        yield
+    finally:
+        _HERE.reset(token)
+
+
+def here() -> Budget:
+    """The time of the work that is being done (`within`)."""
+    return _HERE.get()
+
+
+def checkpoint() -> None:
+    """Raise OutOfTimeError if that is spent."""
+    _HERE.get().check()
 
 
 def budget_of(text: str) -> Budget:

@@ -8,6 +8,7 @@ and is small: fits, and what was found of candidates.
 from __future__ import annotations
 
 import io
+import math
 import multiprocessing
 import os
 import pickle
@@ -27,6 +28,7 @@ from typing import Any, ParamSpec, TypeVar
 from threadpoolctl import threadpool_limits
 
 from flexjoint.core.errors import ModelError
+from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, checkpoint, here, within
 
 WORKERS = "FLEXJOINT_WORKERS"  # environment variable: processes, instead of one per core
 
@@ -54,25 +56,47 @@ class WorkerPool:
         """`function` of every item, in order; whoever is free takes the next one. The function is one of a
         module, or a method of something shared.
 
-        Raises what the function raises; a process that was killed is done without."""
-        if not self._others or len(items) > _Numbers.MOST:
-            return self.each(function, items)
-        self._waiting.put(len(items))
-        return self._shared_out(function, items, [None] * self.size)
+        Raises what the function raises, and OutOfTimeError between two items where the time of the work
+        (`flexjoint.core.running.budget.within`) is over; a process that was killed is done without."""
+        return self._succeeded(self._asked(function, items))
+
+    def reached(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result | None]:
+        """The same as far as the time of the work goes: None in the place of what it did not suffice for."""
+        found = self._asked(function, items)
+        return self._succeeded([None if _late(one) else one for one in found])
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         """The same, with item k always asked of process k modulo their number, which may remember what it
         made for the last one."""
+        return self._succeeded(self._by_each(function, items))
+
+    def _by_each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result | _Failed]:
         parts = [range(k, len(items), self.size) for k in range(self.size)]
         return self._shared_out(function, items, parts)
 
+    def _asked(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result | _Failed]:
+        """`function` of every item, of whoever is free."""
+        if not self._others or len(items) > _Numbers.MOST:
+            return self._by_each(function, items)
+        self._waiting.put(len(items))
+        return self._shared_out(function, items, [None] * self.size)
+
+    @staticmethod
+    def _succeeded(found: Sequence[Result | _Failed]) -> list[Result]:
+        out: list[Result] = []
+        for one in found:
+            if isinstance(one, _Failed):
+                raise one.error
+            out.append(one)
+        return out
+
     def _shared_out(
         self, function: Callable[[Item], Result], items: Sequence[Item], parts: Sequence[range | None]
-    ) -> list[Result]:
+    ) -> list[Result | _Failed]:
         """`function` of every item; of each process those of its part, or any that nobody has taken."""
-        asked = self._others if len(items) > 1 else []
+        asked, left = self._others if len(items) > 1 else [], here().left
         for (_, pipe), part in zip(asked, parts[1:], strict=False):
-            self._send(pipe, (function, items, part))
+            self._send(pipe, (function, items, part, left))
         out: dict[int, Any] = {}
         try:
             out |= self._done(function, items, parts[0])
@@ -86,9 +110,6 @@ class WorkerPool:
                 self._others.remove(other)
         lost = [k for k in range(len(items)) if k not in out]  # of a process that was killed
         out |= self._done(function, items, lost)
-        failed = [out[k] for k in range(len(items)) if isinstance(out[k], _Failed)]
-        if failed:
-            raise failed[0].error
         return [out[k] for k in range(len(items))]
 
     def _done(
@@ -102,6 +123,8 @@ class WorkerPool:
                 raise SystemExit(1)  # it was killed, and nobody waits for an answer
             failed = next((one for one in out.values() if isinstance(one, _Failed)), None)
             try:
+                if failed is None:
+                    checkpoint()
                 out[k] = failed or function(items[k])
             except Exception as error:  # raised again by who asked
                 out[k] = _Failed(error)
@@ -144,10 +167,11 @@ class WorkerPool:
         self._others = []
         while True:
             try:
-                function, items, part = self._received(pipe)
+                function, items, part, left = self._received(pipe)
             except (EOFError, OSError):
                 return
-            answer = self._done(function, items, part)
+            with within(Budget(left) if math.isfinite(left) else UNLIMITED):
+                answer = self._done(function, items, part)
             self._send(pipe, answer)
             del function, items, part, answer
 
@@ -165,6 +189,11 @@ class _Failed:
     """In the place of a result."""
 
     error: Exception
+
+
+def _late(one: object) -> bool:
+    """Whether the time was over before something was done."""
+    return isinstance(one, _Failed) and isinstance(one.error, OutOfTimeError)
 
 
 class _Numbers:

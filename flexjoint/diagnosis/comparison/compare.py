@@ -12,7 +12,7 @@ import numpy as np
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.core.files import check_suffix, write_json
-from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import UNLIMITED, Budget, checkpoint
 from flexjoint.core.running.progress import Report, silent
 from flexjoint.core.text import Block, Line, Table, as_html, plain
 from flexjoint.diagnosis.comparison.estimate import Motion, StateEstimator
@@ -168,6 +168,7 @@ def compared(
         for k, start in enumerate(own):
             if done and budget.spent:
                 break
+            checkpoint()
             _simulate(driver, motion, k, start, recording, simulated)
             done += 1
             report(done / windows, f"window {done} of {windows}")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.core.errors import SimulationError
-from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import checkpoint
 from flexjoint.diagnosis.refinement.shooting import Reduced, Shooting
 from flexjoint.diagnosis.regression.fit import Fit, weak_prior
 from flexjoint.effects import Planned
@@ -80,14 +80,14 @@ class Refinement:
         return np.array([r.energy < self.cap * max(1, r.samples) for r in point.windows])
 
     # --- search --------------------------------------------------------------------------------------
-    def estimate(self, budget: Budget = UNLIMITED) -> Estimate:
+    def estimate(self) -> Estimate:
         """Steps until they no longer matter; a step that raises the energy is halved.
 
-        Raises OutOfTimeError where the budget is spent before that."""
+        Raises OutOfTimeError where the time of the work is over before that."""
         limits = self.settings.refinement
         point, passes = self.begin, 1
         while passes < MOST_PASSES:
-            budget.check()
+            checkpoint()
             self.level = self._level(point)
             step, left = self._next(point)
             if left < limits.converged and passes > 1:  # the starts of the first pass are measured ones

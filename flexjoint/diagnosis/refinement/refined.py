@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import UNLIMITED, Budget, checkpoint, within
 from flexjoint.diagnosis.refinement.open_model import OpenModel, slot_label
 from flexjoint.diagnosis.refinement.output_error import Estimate, Refinement
 from flexjoint.diagnosis.refinement.shooting import Shooting
@@ -28,11 +28,16 @@ def refine(
     """Findings with the numbers of their effects refined on the simulation; or unchanged, where that gives no
     better numbers, or the `budget` is spent before: the estimation says which, and why. `workers` is the
     number of processes that share the simulations."""
-    refinement = _begun(best, workers, budget)
+    with within(budget):
+        return _refined(best, found, workers)
+
+
+def _refined(best: Fit, found: Sequence[Finding], workers: int) -> tuple[tuple[Finding, ...], Estimation]:
+    refinement = _begun(best, workers)
     why, follows = refinement if isinstance(refinement, str) else "", False
     if not isinstance(refinement, str):
         try:
-            estimate = refinement.estimate(budget)
+            estimate = refinement.estimate()
         except (FlexJointError, np.linalg.LinAlgError) as error:
             why = str(error)
         else:
@@ -66,7 +71,7 @@ def _known_better(best: Fit, estimate: Estimate) -> str:
     return ""
 
 
-def _begun(best: Fit, workers: int, budget: Budget) -> Refinement | str:
+def _begun(best: Fit, workers: int) -> Refinement | str:
     """A refinement on windows as long as the simulation stays with the readings, or why there is none.
 
     A long window separates slow torques from noise well (a torque moves a link by the square of the time),
@@ -81,7 +86,7 @@ def _begun(best: Fit, workers: int, budget: Budget) -> Refinement | str:
     try:
         opened = OpenModel(best.problem, best.effects, best.slots)
         for seconds in limits.window_lengths:
-            budget.check()
+            checkpoint()
             trial = _trial(best, opened, seconds, workers)
             if trial is None:
                 break

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from flexjoint.core.running.budget import checkpoint
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.deviations import (
     converged_deviations,
@@ -175,6 +176,7 @@ def _descend(
     jacobian = jacobian_of(problem, current, slots)
     moving = [slot for slot, moves in zip(slots, free, strict=True) if moves]
     for _ in range(iterations if moving else 0):
+        checkpoint()
         normal, slope = normal_equations(problem, jacobian[free], y, moving, current)
         enough, better, failed = CONVERGED + 1e-6 * energy, False, np.inf
         while not better and damping < MOST_DAMPING:
@@ -250,6 +252,7 @@ def _column(problem: Problem, effects: Sequence[Planned], slot: Slot) -> np.ndar
     own = replace(slot, effect=place)
 
     def derivative() -> np.ndarray:
+        checkpoint()  # of many causes on many joints the columns are what takes long
         here, step = own.get(around), step_of(problem, own, around)
         if here + step > own.param.high:
             step = -step

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.running.budget import OutOfTimeError
 from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
 from flexjoint.diagnosis.balances.motion import reconstruct
 from flexjoint.diagnosis.comparison.compare import compared
@@ -217,6 +218,8 @@ def simulated_errors(robot: Robot, recording: Recording, effects: Sequence[Plann
     cannot be simulated."""
     try:
         run = compared(FlexibleJointModel(robot.extended(effects)), recording)
+    except OutOfTimeError:
+        raise
     except FlexJointError:
         return None
     sizes = [

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from flexjoint.core.running.budget import checkpoint
 from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.regression.fit import Fit
 from flexjoint.diagnosis.regression.whitening import Band
@@ -128,6 +129,7 @@ class Scanner:
         taken = {e.key for e in share.currents[0].effects}
         joints = share.currents[0].problem.robot.joint_names
         for part in share.parts:
+            checkpoint()
             waiting = [k for k in part if self.candidates[k].key not in taken]
             if share.replaced is not None:
                 waiting = [k for k in waiting if may_replace(self.candidates[k], share.replaced, joints)]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, here, within
 from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, refit_without
@@ -51,6 +51,8 @@ LEFT_OUT = (
     " compared with its rivals"
 )
 
+TRIED = 0.8  # share of a search's time after which no further set is tried: the rest is for judging those
+
 Progress = Callable[[float, str], None]
 Key = tuple[str, str | None]  # of an effect on a joint
 
@@ -71,11 +73,25 @@ class Selection:
 
 @dataclass(frozen=True)
 class Search:
-    """The scanner of candidates, and the processes that share the work."""
+    """The scanner of candidates, and the processes that share the work. `cut` is no longer empty when the
+    time was over before something that would have been done."""
 
     scanner: Scanner
     pool: WorkerPool
     budget: Budget = UNLIMITED
+    cut: list[str] = field(default_factory=list)
+
+    def goes_on(self) -> bool:
+        """Whether there is time for another set; asked where there is one to try."""
+        if self.budget.part(TRIED).spent:
+            self.stopped()
+        return not self.cut
+
+    def stopped(self) -> None:
+        """The time was over. Work within the time of others is theirs to end."""
+        if not self.budget.limited:
+            raise OutOfTimeError
+        self.cut.append(LEFT_OUT)
 
     def scan(self, current: Fit, replaced: Planned) -> tuple[Scored, ...]:
         """Candidates for the place of an effect. Where an angle was not measured but computed from the
@@ -95,101 +111,135 @@ def select(
 ) -> Selection:
     """Forward selection with full refits, exchanges and pruning; `start` seeds the set. Any number of
     `workers` (processes) gives the same bits. When the time of a `budget` is over the set is taken as it
-    is."""
+    was after the last step that is whole."""
     scanner = Scanner(candidates)
     with worker_pool([*problem.shared(), *catalogue().values(), *candidates, scanner], workers) as processes:
-        return _select(problem, Search(scanner, processes, budget), report, start)
+        if not budget.limited:
+            return _select(problem, Search(scanner, processes), report, start)
+        with within(budget):
+            return _select(problem, Search(scanner, processes, budget), report, start)
+
+
+@dataclass
+class _Found:
+    """The set after the last step that is whole, and how it came about."""
+
+    best: Fit
+    seen: set[frozenset[Key]]  # sets; no other is tried twice
+    scans: list[tuple[Scored, ...]] = field(default_factory=list)  # of every set that was looked beyond
+    trace: list[Step] = field(default_factory=list)
+    rivals: dict[Key, tuple[Fit, ...]] = field(default_factory=dict)
+
+    def takes(self, best: Fit, check: str, why: str) -> None:
+        """Another set takes its place."""
+        self.trace += steps_between(self.best, best, STAGE, check, why)
+        self.best = best
+
+    def exchanges(self, search: Search, places: Sequence[Planned], everywhere: bool = True) -> None:
+        best, rivals = exchange(search, self.best, places, everywhere)
+        self.takes(best, "exchange", "the set with it scores better")
+        if everywhere:
+            self.rivals = dict(zip((e.key for e in best.effects), rivals, strict=True))
 
 
 def _select(problem: Problem, search: Search, report: Progress, start: Sequence[Planned]) -> Selection:
-    nothing = at_own_level(fit(problem, []))
-    best = at_own_level(fit(problem, start)) if start else nothing
-    scans: list[tuple[Scored, ...]] = []  # of every set that was looked beyond
-    trace: list[Step] = []
+    with within(UNLIMITED):  # of what is handed over
+        nothing = at_own_level(fit(problem, []))
+        best = at_own_level(fit(problem, start)) if start else nothing
     # a cause may enter at the noise level of its own set and be dropped again at that of the whole set
-    seen = {_keys(best)}
+    found = _Found(best, {_keys(best)})
+    try:
+        _look(found, search, report)
+    except OutOfTimeError:
+        search.stopped()
+    first, last = (found.scans[0], found.scans[-1]) if found.scans else ((), ())
+    rivals = tuple(found.rivals.get(e.key, ()) for e in found.best.effects)
+    left_out = tuple(dict.fromkeys(search.cut))
+    return Selection(found.best, nothing, first, last, rivals, trace=tuple(found.trace), left_out=left_out)
+
+
+def _look(found: _Found, search: Search, report: Progress) -> None:
+    """Grow, prune and exchange until nothing is better. Each step is taken as a whole, or not at all where
+    the time is over in its midst."""
     compared: dict[Key, frozenset[Key]] = {}  # effects with their rivals, and what was beside them then
     while True:
-        best = _grown(best, search, report, seen, scans, trace)
-        grown, best = best, prune(best, search.pool)
-        trace += steps_between(grown, best, STAGE, "price", PRUNED)
+        _grow(found, search, report)
+        found.takes(prune(found.best, search.pool), "price", PRUNED)
         report(0.9, "comparing rival causes")
-        places = [e for e in best.effects if compared.get(e.key) != _neighbours(best, e)]
-        before, (best, rivals) = best, exchange(search, best, places)
-        trace += _exchanged(before, best)
-        compared = {e.key: _neighbours(best, e) for e in best.effects}
-        if _keys(best) not in seen | {_keys(before)}:  # beside what was exchanged another cause may be seen
-            seen.add(_keys(best))
+        places = [e for e in found.best.effects if compared.get(e.key) != _neighbours(found.best, e)]
+        before = found.best
+        found.exchanges(search, places)
+        compared = {e.key: _neighbours(found.best, e) for e in found.best.effects}
+        # beside what was exchanged another cause may be seen
+        if _keys(found.best) not in found.seen | {_keys(before)}:
+            found.seen.add(_keys(found.best))
             continue
+        best = found.best
+        rivals = [found.rivals[e.key] for e in best.effects]
         pairs = beside_rivals(best, rivals, search.scanner.candidates, search.pool)
-        if pairs and len(best.effects) < most_effects(problem):
+        if pairs and len(best.effects) < most_effects(best.problem):
             pair = prune(choose(pairs), search.pool)
-            if _keys(pair) not in seen and _still_better(pair, best):
-                trace += steps_between(
-                    best, pair, STAGE, "pair with a rival", "the pair clears what was wrong"
-                )
-                best = pair
-                seen.add(_keys(best))
+            if _keys(pair) not in found.seen and _still_better(pair, best):
+                found.takes(pair, "pair with a rival", "the pair clears what was wrong")
+                found.seen.add(_keys(pair))
                 continue
         if len(places) < len(best.effects):  # in the end the rivals of all effects are those of the final set
-            before, (best, rivals) = best, exchange(search, best, best.effects)
-            trace += _exchanged(before, best)
-            compared = {e.key: _neighbours(best, e) for e in best.effects}
-            if _keys(best) not in seen:
-                seen.add(_keys(best))
+            found.exchanges(search, best.effects)
+            compared = {e.key: _neighbours(found.best, e) for e in found.best.effects}
+            if _keys(found.best) not in found.seen:
+                found.seen.add(_keys(found.best))
                 continue
         break
-    first, last = (scans[0], scans[-1]) if scans else ((), ())
-    left_out = (LEFT_OUT,) if search.budget.spent else ()
-    return Selection(best, nothing, first, last, rivals, trace=tuple(trace), left_out=left_out)
 
 
-def _grown(
-    best: Fit,
-    search: Search,
-    report: Progress,
-    seen: set[frozenset[Key]],
-    scans: list[tuple[Scored, ...]],
-    trace: list[Step],
-) -> Fit:
-    """The set with causes added one by one, as long as the data support another one; sets that were `seen`
-    are not tried again."""
+def _grow(found: _Found, search: Search, report: Progress) -> None:
+    """Add causes one by one, as long as the data support another one; sets that were seen are not tried
+    again."""
     standing: dict[Key, frozenset[Key]] = {}  # effects that were found supported, and what was beside them
     rubs = False  # with ordinary friction on several joints
-    while len(best.effects) < most_effects(best.problem) and not search.budget.spent:
+    while len(found.best.effects) < most_effects(found.best.problem) and search.goes_on():
+        best = found.best
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
         if bare is not None and ends_lower(bare, best):
-            best = at_own_level(bare)
+            best = found.best = at_own_level(bare)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
-        scans.append(both[0])
+        found.scans.append(both[0])
         common = None if best.effects else with_ordinary(best, both[0], search.pool)
         if common is not None:
             rubs = True
-            trace += steps_between(best, common, STAGE, "ordinary friction", COMMON)
-            best = common
-            seen.add(_keys(best))
+            found.takes(common, "ordinary friction", COMMON)
+            found.seen.add(_keys(common))
             continue
-        larger = larger_sets(best, both, bare, search.pool)
-        found = on_one_level(larger, search.pool) or on_all_joints(best, search.scanner.candidates)
-        grown = _best_at_own_level(best, found)
+        larger = _larger(best, both, bare, search)
+        candidates = search.scanner.candidates
+        wider = on_one_level(larger, search.pool) or on_all_joints(best, candidates)
+        grown = _best_at_own_level(best, wider)
         if grown is None:
             break
-        grown = _with_other_joints(grown, found, larger, search.pool)
+        grown = _with_other_joints(grown, wider, larger, search.pool)
         if rubs and grown.effects[-1].effect.site is Site.BODY:
             grown = _with_missing(grown, both[0])
-        before, best = best, prune(grown, search.pool, standing)
-        if _keys(best) in seen:  # it would lead there again
-            return before
-        trace += steps_between(before, grown, STAGE, "price", "it explains more than its price")
-        trace += steps_between(grown, best, STAGE, "price", PRUNED)
-        standing = {e.key: _neighbours(best, e) for e in best.effects}
-        seen.add(_keys(best))
-        newest = {e.joint for e in best.effects if e.key not in _keys(before)}
-        older = [e for e in best.effects if e.joint in newest and e.key in _keys(before)]
-        before, (best, _) = best, exchange(search, best, older, everywhere=False)
-        trace += _exchanged(before, best)
-    return best
+        pruned = prune(grown, search.pool, standing)
+        if _keys(pruned) in found.seen:  # it would lead there again
+            return
+        older = _keys(best)
+        found.takes(grown, "price", "it explains more than its price")
+        found.takes(pruned, "price", PRUNED)
+        found.seen.add(_keys(pruned))
+        standing = {e.key: _neighbours(pruned, e) for e in pruned.effects}
+        newest = {e.joint for e in pruned.effects if e.key not in older}
+        asked = [e for e in pruned.effects if e.joint in newest and e.key in older]
+        found.exchanges(search, asked, everywhere=False)
+
+
+def _larger(best: Fit, both: Sequence[tuple[Scored, ...]], bare: Fit | None, search: Search) -> list[Fit]:
+    """`larger_sets`, of the most promising ones as many as the time allows."""
+    if not search.budget.limited:
+        return larger_sets(best, both, bare, search.pool, here())
+    larger = larger_sets(best, both, bare, search.pool, search.budget.part(TRIED))
+    search.goes_on()  # says it where the time for them is over
+    return larger
 
 
 def with_ordinary(nothing: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> Fit | None:
@@ -265,10 +315,6 @@ def _by_joint(sets: Sequence[Fit]) -> list[list[Fit]]:
     return list(groups.values())
 
 
-def _exchanged(before: Fit, after: Fit) -> tuple[Step, ...]:
-    return steps_between(before, after, STAGE, "exchange", "the set with it scores better")
-
-
 def _best_at_own_level(best: Fit, found: Sequence[Fit]) -> Fit | None:
     """The best of some sets at the noise level that it leaves; if it is better than `best` there only because
     of implausible nominal numbers, the next best one. None where that is so for all."""
@@ -323,44 +369,54 @@ def exchange(
     """Try other candidates in the place of some effects, and keep those that score better. Returns the set
     and, for each of its effects, the fits with a rival in its place, best first. After an exchange all
     effects are asked, or only those that it touches if not `everywhere`: then rivals of the others may be
-    those of a set before."""
+    those of a set before. When the time is over the others are not asked."""
     rivals: dict[Key, tuple[Fit, ...]] = {}
     waiting = [e.key for e in places]
     exchanges = 0  # bounded, so that two equals do not alternate for ever
-    while waiting and not search.budget.spent:
+    while waiting and not search.cut:
         key = waiting.pop(0)
         replaced = next((e for e in result.effects if e.key == key), None)
         if replaced is None:
             continue
-        again = sought_again(result, replaced, search.pool)
-        if again is not result:
-            result = at_own_level(again)
-            replaced = next(e for e in result.effects if e.key == key)
-        without = refit_without(result, replaced)
-        scanned = search.scan(without, replaced)
-        if replaced.effect.ordinary and _rubs_all_over(result):
-            scanned = tuple(s for s in scanned if _ordinary_too(s.candidate.effect, replaced.effect))
-        needed = _needed(without.energy - result.energy, scanned, key)
-        tried = polish(without, scanned, needed, search.pool)
-        fits = [f for f in tried if f.effects[-1].key != key]
-        fits = [f for f in fits if not (contradicted(f, without) or stands_in(f, f.effects[-1]))]
-        fits += [
-            alone for more in search.pool.map(_containing, [(f, key[0]) for f in fits]) for alone in more
-        ]
-        swapped = choose([result, *fits])
-        if swapped is not result and exchanges < result.settings.search.most_exchanges:
-            exchanges += 1
-            refitted = at_own_level(swapped)
-            if _still_better(refitted, result):
-                before, result = result, prune(refitted, search.pool)
-                waiting = [
-                    e.key
-                    for e in result.effects
-                    if everywhere or e.key in waiting or _neighbours(result, e) != _neighbours(before, e)
-                ]
-                continue
+        try:
+            result, fits = _rivals_of(search, result, replaced)
+            swapped = choose([result, *fits])
+            if swapped is not result and exchanges < result.settings.search.most_exchanges:
+                exchanges += 1
+                refitted = at_own_level(swapped)
+                if _still_better(refitted, result):
+                    before, result = result, prune(refitted, search.pool)
+                    waiting = [
+                        e.key
+                        for e in result.effects
+                        if everywhere or e.key in waiting or _neighbours(result, e) != _neighbours(before, e)
+                    ]
+                    continue
+        except OutOfTimeError:
+            search.stopped()
+            break
         rivals[key] = tuple(sorted(fits, key=score))
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
+
+
+def _rivals_of(search: Search, result: Fit, replaced: Planned) -> tuple[Fit, list[Fit]]:
+    """The set, which may have been fitted better meanwhile, and the fits with another candidate in the place
+    of an effect."""
+    key = replaced.key
+    again = sought_again(result, replaced, search.pool)
+    if again is not result:
+        result = at_own_level(again)
+        replaced = next(e for e in result.effects if e.key == key)
+    without = refit_without(result, replaced)
+    scanned = search.scan(without, replaced)
+    if replaced.effect.ordinary and _rubs_all_over(result):
+        scanned = tuple(s for s in scanned if _ordinary_too(s.candidate.effect, replaced.effect))
+    needed = _needed(without.energy - result.energy, scanned, key)
+    tried = polish(without, scanned, needed, search.pool)
+    fits = [f for f in tried if f.effects[-1].key != key]
+    fits = [f for f in fits if not (contradicted(f, without) or stands_in(f, f.effects[-1]))]
+    fits += [alone for more in search.pool.map(_containing, [(f, key[0]) for f in fits]) for alone in more]
+    return result, fits
 
 
 def _rubs_all_over(result: Fit) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from flexjoint.core.running.budget import Budget, within
 from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, held_beside
@@ -50,7 +51,7 @@ def ends_lower(bare: Fit, best: Fit) -> bool:
 
 
 def larger_sets(
-    best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, pool: WorkerPool
+    best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, pool: WorkerPool, tried: Budget
 ) -> list[Fit]:
     """Sets of one more effect that the data support rather than `best`. `scanned` holds the scan of `best`
     and, where there is one, that of `bare`, the same set at the level of the predicted noise.
@@ -58,24 +59,35 @@ def larger_sets(
     The noise level of `best` may be so high that no cause improves the set visibly, not even one that leaves
     a tenth of the variance in the wrong balances, or after which no nominal number is implausible. Such sets
     are therefore judged at the level that they leave themselves, and candidates are also taken from the scan
-    of `bare`."""
+    of `bare`. Those that come in the time `tried` are judged, the most promising ones first."""
+    with within(tried):
+        found, trials = _tried(best, scanned, bare, pool)
+    return found if bare is None else [*found, *clearing(best, trials, bare, pool)]
+
+
+def _tried(
+    best: Fit, scanned: Sequence[tuple[Scored, ...]], bare: Fit | None, pool: WorkerPool
+) -> tuple[list[Fit], list[Fit]]:
+    """The sets that the data support at the noise level of `best`, and those that are to be judged at the
+    level that they leave."""
     scored = promising(best, scanned[0])
-    judged = pool.map(_judged, [(evaluated(best), one) for one in scored])
+    reached = pool.reached(_judged, [(evaluated(best), one) for one in scored])
+    judged = [(None, False) if one is None else one for one in reached]
     found = [f for f, better in judged if f is not None and better]
-    if bare is not None:
-        trials = [f for f, _ in judged if f is not None]
-        # a set that was already fitted at the level of `best` is fitted on from there, unless its onset was
-        # added or dropped meanwhile
-        known = {
-            (s.candidate, s.since)
-            for s, (f, _) in zip(scored, judged, strict=True)
-            if f is not None and (f.effects[-1].since is None) == (s.since is None)
-        }
-        others = [s for s in promising(bare, scanned[1]) if (s.candidate, s.since) not in known]
-        trials = pool.map(_clearer, [(best, bare, f) for f in trials])
-        trials += [f for f in pool.map(_added, [(bare, one) for one in others]) if f is not None]
-        found += clearing(best, trials, bare, pool)
-    return found
+    if bare is None:
+        return found, []
+    trials = [f for f, _ in judged if f is not None]
+    # a set that was already fitted at the level of `best` is fitted on from there, unless its onset was
+    # added or dropped meanwhile
+    known = {
+        (s.candidate, s.since)
+        for s, (f, _) in zip(scored, judged, strict=True)
+        if f is not None and (f.effects[-1].since is None) == (s.since is None)
+    }
+    others = [s for s in promising(bare, scanned[1]) if (s.candidate, s.since) not in known]
+    lower = pool.reached(_clearer, [(best, bare, f) for f in trials])
+    trials = [f if below is None else below for f, below in zip(trials, lower, strict=True)]
+    return found, trials + [f for f in pool.reached(_added, [(bare, one) for one in others]) if f is not None]
 
 
 def _judged(task: tuple[Fit, Scored]) -> tuple[Fit | None, bool]:
@@ -115,7 +127,7 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
     while waiting:
         least = {k: max(share for share, _ in group) - np.log(limits.cleared) for k, group in waiting.items()}
         first = [(k, f) for k, group in waiting.items() for share, f in group if share >= least[k]]
-        found = pool.map(_cleared_at_own_level, [(best, f) for _, f in first])
+        found = pool.reached(_cleared_at_own_level, [(best, f) for _, f in first])
         done = {k for (k, _), f in zip(first, found, strict=True) if f is not None}
         out += [f for f in found if f is not None]
         rest = {k: [(share, f) for share, f in group if share < least[k]] for k, group in waiting.items()}

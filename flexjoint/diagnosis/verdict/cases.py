@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
-from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, within
 from flexjoint.diagnosis.refinement import refined
-from flexjoint.diagnosis.regression.fit import refit_without
+from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
 from flexjoint.diagnosis.result import Estimation, Finding, Gain, ResidualView, Step, Unexplained
@@ -21,6 +21,8 @@ from flexjoint.diagnosis.verdict.transients import with_pushes
 from flexjoint.diagnosis.verdict.unseen import Unseen, unseen
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
+
+LATE = "the time allowed was over before every simulation on held-out data: gains there are not all known"
 
 Progress = Callable[[float, str], None]
 
@@ -39,18 +41,31 @@ class Case:
 
 @dataclass(frozen=True)
 class SimulatedCase(Case):
-    """A set, and what it gains on held-out data; None where the recording cannot drive a simulation."""
+    """A set, and what it gains on held-out data; None where the recording cannot drive a simulation, or the
+    `budget` is spent before its end, which `late` then says."""
 
     robot: Robot
     recording: Recording
     problem: Problem
-    measured: Gain | None
+    measured: Gain | None = None
+    budget: Budget = field(default=UNLIMITED, kw_only=True)
+    late: list[str] = field(default_factory=list, kw_only=True, repr=False, compare=False)
 
     def changed(self, selection: Selection, step: Step) -> Self:
-        measured = held_out.comparison(
-            self.robot, self.recording, self.problem, selection.best, self.measured
-        )
-        return replace(super().changed(selection, step), measured=measured)
+        return super().changed(selection, step).simulated()
+
+    def simulated(self) -> Self:
+        """The case with its set's simulation on held-out data."""
+        return replace(self, measured=self.gain(self.selection.best, self.measured))
+
+    def gain(self, best: Fit, known: Gain | None = None, nothing: Fit | None = None) -> Gain | None:
+        """`held_out.comparison` of a set, in the time that is allowed."""
+        try:
+            with within(self.budget):
+                return held_out.comparison(self.robot, self.recording, self.problem, best, known, nothing)
+        except OutOfTimeError:
+            self.late[:] = [LATE]
+            return None
 
 
 @dataclass(frozen=True)
@@ -59,14 +74,14 @@ class StatedCase(SimulatedCase):
 
     `kept` says why the numbers are not refined on the simulation; if empty, they are. `spread` replaces the
     standard errors of the first recording. `workers` is the number of processes that share a refinement,
-    `budget` the time after which it is given up.
+    `refining` the time after which it is given up.
     """
 
-    kept: str
-    workers: int
-    spread: Mapping[Key, Errors]
-    report: Progress = field(repr=False)
-    budget: Budget = UNLIMITED
+    kept: str = field(kw_only=True)
+    workers: int = field(kw_only=True)
+    spread: Mapping[Key, Errors] = field(kw_only=True)
+    report: Progress = field(kw_only=True, repr=False)
+    refining: Budget = field(default=UNLIMITED, kw_only=True)
 
     @cached_property
     def residuals(self) -> tuple[ResidualView, ...]:
@@ -98,7 +113,7 @@ class StatedCase(SimulatedCase):
             return 0.0
         best = self.selection.best
         less = refit_without(best, best.effects[k])
-        without = held_out.comparison(self.robot, self.recording, self.problem, less, self.measured)
+        without = self.gain(less, self.measured)
         return by_simulation(self.measured, without, best.effects[k], best.settings.verdict, beside)
 
     @cached_property
@@ -111,7 +126,7 @@ class StatedCase(SimulatedCase):
         if self.kept:
             return self.named, refined.from_balances(best, self.kept)
         self.report(0.95, "refining the numbers on the simulation")
-        found, estimation = refined.refine(best, self.named, self.workers, self.budget)
+        found, estimation = refined.refine(best, self.named, self.workers, self.refining)
         return followed(best, found, estimation), estimation
 
     @property

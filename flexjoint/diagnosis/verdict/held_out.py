@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.running.budget import OutOfTimeError
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
@@ -62,7 +63,9 @@ def comparison(
     taken from `known`, an earlier comparison, if given. If the fit without causes, `nothing`, is given, the
     nominal numbers of both models are corrected within their tolerances, each as its own fit has them, and
     the whole recording is compared: other blocks do not tell the numbers of what acts only for a while, as
-    friction after a rest does."""
+    friction after a rest does.
+
+    Raises OutOfTimeError where the time of the work is over: errors over fewer windows are no measure."""
     block = problem.settings.verdict.held_out_block
     away = held_out_blocks(problem.balances.chains.t[0] + problem.time, block)
     held_out = nothing is None and bool(np.any(away) and not np.all(away))
@@ -84,6 +87,8 @@ def comparison(
     try:
         before = measured(first) if known is None else known.before
         after = measured(last) if best.effects else before
+    except OutOfTimeError:
+        raise
     except FlexJointError:
         return None
     return Gain(held_out, HORIZON, before, after, {"rms": noise_floor(robot, recording)})

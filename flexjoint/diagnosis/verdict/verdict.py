@@ -218,7 +218,9 @@ def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
 
 
 def not_excited(selection: Selection, candidates: Sequence[Candidate]) -> tuple[tuple[str, str | None], ...]:
-    """Effects that this recording would show only if they were large."""
+    """Effects that this recording would show only if they were large; none where no scan came to its end."""
+    if selection.left_out and not selection.scan:
+        return ()
     limits, search = selection.best.settings.verdict, selection.best.settings.search
     seen: set[tuple[str, str | None]] = set()
     for scored in (*selection.scan, *selection.last_scan):

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import pytest
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, budget_of
+from flexjoint.core.running.budget import (
+    UNLIMITED,
+    Budget,
+    OutOfTimeError,
+    budget_of,
+    checkpoint,
+    here,
+    within,
+)
 
 
 def test_it_is_spent_when_its_seconds_are_over() -> None:
@@ -32,6 +41,29 @@ def test_a_part_counts_from_the_same_beginning() -> None:
         part.check()
     budget.check()
     assert UNLIMITED.part(0.1) is UNLIMITED
+
+
+def test_it_holds_for_all_that_is_called_within_it() -> None:
+    now = [0.0]
+    outer = Budget(10.0, lambda: now[0])
+    with within(outer):
+        checkpoint()
+        now[0] = 6.0
+        with within(outer.part(0.5)), pytest.raises(OutOfTimeError):
+            checkpoint()
+        assert here() is outer
+        checkpoint()
+        now[0] = 10.0
+        with within(UNLIMITED):  # what must be done in any case
+            checkpoint()
+        with pytest.raises(OutOfTimeError):
+            checkpoint()
+    checkpoint()
+    assert here() is UNLIMITED
+
+
+def test_the_error_goes_from_process_to_process() -> None:
+    assert str(pickle.loads(pickle.dumps(OutOfTimeError()))) == "the time allowed was over"
 
 
 def test_without_a_limit_no_clock_is_asked() -> None:

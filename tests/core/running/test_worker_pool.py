@@ -13,6 +13,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from flexjoint.core.errors import ModelError
+from flexjoint.core.running.budget import Budget, OutOfTimeError, within
 from flexjoint.core.running.worker_pool import WORKERS, WorkerPool, one_thread, worker_pool, workers_of
 
 
@@ -181,3 +182,27 @@ def test_an_interrupt_during_a_fork_is_not_lost() -> None:
     finally:
         made.dismiss()
         signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_work_ends_between_two_items_when_its_time_is_over(count: int) -> None:
+    items = [1.0, 2.0, 4.0, 8.0, 5.0, 10.0]
+    with worker_pool([], count) as processes:
+        with within(Budget(0.0)):
+            with pytest.raises(OutOfTimeError):
+                processes.map(inverse, items)
+            with pytest.raises(OutOfTimeError):
+                processes.each(inverse, items)
+            assert processes.reached(inverse, items) == [None] * 6
+        with within(Budget(3600.0)):
+            assert processes.reached(inverse, items) == [1.0 / x for x in items]
+            with pytest.raises(ZeroDivisionError):
+                processes.reached(inverse, [0.0] * 6)
+        assert processes.map(inverse, items) == [1.0 / x for x in items]
+
+
+def test_what_was_reached_in_time_is_kept() -> None:
+    now = iter([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    with worker_pool([], 1) as processes, within(Budget(4.0, now.__next__)):
+        # asked once for the others' time, and before each item
+        assert processes.reached(inverse, [1.0, 2.0, 4.0, 8.0]) == [1.0, 0.5, None, None]

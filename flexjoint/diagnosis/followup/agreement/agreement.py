@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError, RecordingError
+from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, checkpoint, within
 from flexjoint.core.running.worker_pool import one_thread
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
@@ -32,6 +33,7 @@ from flexjoint.recording.table import Recording, expect_several
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 
+LATE = "the time allowed was over before the recordings were compared with each other"
 UNSEEN = 1e100  # what a pseudo-inverse makes of a number without a trace is larger
 
 
@@ -53,6 +55,7 @@ def agreement(
     *,
     payloads: Sequence[KnownPayload | None] = (),
     settings: Settings = USUAL,
+    budget: Budget = UNLIMITED,
 ) -> Diagnosis:
     """The diagnosis of several recordings with its `agreement`: every number by recording, its spread beyond
     the standard errors, which recording is odd, which show a cause at all, and each recording simulated with
@@ -64,6 +67,7 @@ def agreement(
         diagnosis: what `diagnose` said of them. One of a single recording, or a refused one, is handed back.
         payloads: as in `diagnose`.
         settings: the numbers that decide (docs/reference/settings.md).
+        budget: the time that it may take; where that is too short, the diagnosis is handed back with a note.
 
     Raises RecordingError where a recording cannot be used with this robot.
     """
@@ -75,13 +79,29 @@ def agreement(
     loads = payloads or [None] * len(recordings)
     robots = [robot if load is None else load.on(robot) for load in loads]
     names = _names(recordings)
-    parts, _ = excerpts(robots[0], [with_torques(robot, recording) for recording in recordings])
-    causes = _lasting(diagnosis)
+    torques = [with_torques(robot, recording) for recording in recordings]
+    parts, _ = excerpts(robots[0], torques, budget.seconds)
+    try:
+        with within(budget):
+            found = _agreement(robots, parts, names, _lasting(diagnosis), settings)
+    except OutOfTimeError:
+        return replace(diagnosis, notes=(*diagnosis.notes, LATE))
+    return replace(diagnosis, agreement=found)
+
+
+def _agreement(
+    robots: Sequence[Robot],
+    parts: Sequence[Recording],
+    names: tuple[str, ...],
+    causes: Sequence[Planned],
+    settings: Settings,
+) -> Agreement:
+    checkpoint()
     own = [_own(r, part, causes, settings) for r, part in zip(robots, parts, strict=True)]
     series = _series(own)
     numbers = repeated(series, settings.agreement.chance)
     left_out = tuple(_left_out(own, k) for k in range(len(own)))
-    return replace(diagnosis, agreement=Agreement(names, numbers, _shown(own), left_out))
+    return Agreement(names, numbers, _shown(own), left_out)
 
 
 def _names(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -167,6 +187,8 @@ def _left_out(own: Sequence[_Own], k: int) -> LeftOut:
         after = before
         if effects:
             after = _errors(compared(FlexibleJointModel(here.robot.extended(effects)), _clocked(here)))
+    except OutOfTimeError:
+        raise
     except FlexJointError:  # it lacks what a simulation needs, or diverges
         return LeftOut(k, None)
     return LeftOut(k, Gain(True, HORIZON, before, after, {"rms": noise_floor(here.robot, here.recording)}))

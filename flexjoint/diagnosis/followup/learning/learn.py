@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError, RecordingError
-from flexjoint.core.running.budget import UNLIMITED, Budget
+from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, checkpoint, within
 from flexjoint.core.running.progress import Report, silent
 from flexjoint.core.running.worker_pool import one_thread
 from flexjoint.diagnosis.followup.learning.advice import advice
@@ -149,15 +149,17 @@ def _learned(
     found: list[_Kept] = []
     late = []
     for k, joint in enumerate(joints):
-        if budget.spent:
-            late.append(joint)
-            continue
         progress(k / len(joints), f"learning what is left of {joint}")
-        for _ in range(evidence.limits.most):
-            law = _Search(evidence, joint, [one.law for one in found]).law()
-            if law is None:
-                break
-            found.append(law)
+        try:
+            with within(budget):
+                for _ in range(evidence.limits.most):
+                    checkpoint()
+                    law = _Search(evidence, joint, [one.law for one in found]).law()
+                    if law is None:
+                        break
+                    found.append(law)
+        except OutOfTimeError:
+            late.append(joint)
     return found, (f"the time allowed was over before {', '.join(late)} could be learned",) if late else ()
 
 

@@ -11,7 +11,6 @@ from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import SimulatedCase
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
 from flexjoint.diagnosis.verdict.edits import given_way, without
-from flexjoint.diagnosis.verdict.held_out import comparison
 from flexjoint.effects import Planned
 
 WHY = "it lowers a balance, but makes the simulation of its joint worse on held-out data"
@@ -82,7 +81,7 @@ def _compared(case: SimulatedCase, best: Fit, fair: bool = False) -> Gain | None
     """A fit's simulation on held-out data; `fair`: the models with and without causes are compared on the
     whole recording with the nominal numbers corrected, each as its own fit has them."""
     nothing, known = (case.selection.nothing, None) if fair else (None, case.measured)
-    return comparison(case.robot, case.recording, case.problem, best, known, nothing)
+    return case.gain(best, known, nothing)
 
 
 def _worsened(gain: Gain, joint: str, limit: float) -> bool:

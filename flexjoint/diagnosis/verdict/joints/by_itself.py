@@ -10,12 +10,12 @@ error by more than a background makes, on blocks of time that its fit did not se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flexjoint.core.running.budget import Budget
+from flexjoint.core.running.budget import Budget, OutOfTimeError, checkpoint, within
 from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
@@ -98,6 +98,9 @@ class Stage:
     holds: Callable[[Remaining, Unseen, Unseen], bool]  # what was found of a joint, beside all others
 
 
+LATE = "the time allowed was over before each joint of which much is left was looked at by itself"
+
+
 def joint_by_joint(
     selection: Selection,
     candidates: Sequence[Candidate],
@@ -106,30 +109,58 @@ def joint_by_joint(
     budget: Budget,
     report: Progress,
 ) -> Selection:
-    """The selection with what a stage finds on the joints that are open; its trace is how that came about."""
+    """The selection with what a stage finds on the joints that are open; its trace is how that came about.
+    Where the `budget` is spent before that, with what whole rounds found until then; `left_out` says so."""
     candidates = [c for c in candidates if stage.tries(c)]
-    data = unseen(selection.best, selection.nothing)
-    seen = unseen_problem(selection.best.problem)
-    if not candidates or not stage.open_joints(data):
+    if not candidates:
         return selection
-    first, selection = selection, replace(selection, trace=())
-    changed: set[str] = set()  # joints
-    looked: dict[str, float] = {}  # N m, what was left of a joint when it was looked at
+    looked = _Looked(selection)
+    with within(budget):
+        try:
+            _look(looked, candidates, stage, workers, report)
+        except OutOfTimeError:
+            found = looked.selection
+            return replace(found, left_out=tuple(dict.fromkeys((*found.left_out, LATE))))
+    return looked.selection
+
+
+@dataclass
+class _Looked:
+    """The selection after the last round."""
+
+    selection: Selection
+    changed: frozenset[str] = frozenset()  # joints
+
+    def takes(self, larger: Selection, joints: Collection[str]) -> None:
+        self.selection, self.changed = larger, self.changed | frozenset(joints)
+
+
+def _look(
+    looked: _Looked, candidates: Sequence[Candidate], stage: Stage, workers: int, report: Progress
+) -> None:
+    """One round after another, until none finds anything."""
+    first = looked.selection
+    checkpoint()
+    data, seen = unseen(first.best, first.nothing), unseen_problem(first.best.problem)
+    if not stage.open_joints(data):
+        return
+    selection = replace(first, trace=())
+    left: dict[str, float] = {}  # N m, of a joint when it was looked at
     shared = [*seen.shared(), *first.best.problem.shared(), *catalogue().values(), *candidates]
     with worker_pool(shared, workers) as pool:
-        while not budget.spent:
+        while True:
             # what acts on two joints may have given way to a cause of one: more is left of the other
             open_joints = [
                 one
                 for one in stage.open_joints(data)
-                if one.joint not in looked or stands_out(seen, one, looked[one.joint])
+                if one.joint not in left or stands_out(seen, one, left[one.joint])
             ]
-            looked |= {one.joint: one.after for one in open_joints}
+            left |= {one.joint: one.after for one in open_joints}
             questions = [
                 Question(selection.best, seen, tuple(c for c in candidates if c.joint == one.joint), one)
                 for one in open_joints
             ]
-            found = _answers(questions, stage, pool, budget, report)
+            found = _answers(questions, stage, pool, report)
             if not found:
                 break
             larger = _joined(selection, found, stage)
@@ -142,21 +173,20 @@ def joint_by_joint(
                     break
                 larger = _joined(selection, found, stage)
                 after = unseen(larger.best, larger.nothing)
-            selection, changed, data = larger, changed | found.keys(), after
-    if not changed:
-        return first
-    rivals = [[_beside(rival, selection.best, changed) for rival in fits] for fits in selection.rivals]
-    return replace(selection, rivals=tuple(tuple(sorted(fits, key=score)) for fits in rivals))
+            selection, data = larger, after
+            looked.takes(replace(larger, rivals=((),) * len(larger.best.effects)), found)
+    if looked.changed:
+        best = selection.best
+        rivals = [[_beside(rival, best, looked.changed) for rival in fits] for fits in selection.rivals]
+        looked.selection = replace(selection, rivals=tuple(tuple(sorted(fits, key=score)) for fits in rivals))
 
 
 def _answers(
-    questions: Sequence[Question], stage: Stage, pool: WorkerPool, budget: Budget, report: Progress
+    questions: Sequence[Question], stage: Stage, pool: WorkerPool, report: Progress
 ) -> dict[str, JointSet]:
     """The causes of each joint where some were found."""
     found: dict[str, JointSet] = {}
     for k in range(0, len(questions), pool.size):
-        if budget.spent:
-            break
         now = questions[k : k + pool.size]
         report(k / len(questions), f"looking for {stage.what} of {', '.join(q.joint.joint for q in now)}")
         for question, answer in zip(now, pool.map(stage.find, now), strict=True):
@@ -181,7 +211,7 @@ def _joined(selection: Selection, found: dict[str, JointSet], stage: Stage) -> S
     return replace(selection, best=grown, rivals=rivals, trace=trace)
 
 
-def _beside(rival: Fit, best: Fit, changed: set[str]) -> Fit:
+def _beside(rival: Fit, best: Fit, changed: Collection[str]) -> Fit:
     """A rival of a cause, fitted again beside the causes that other joints which have `changed` have now."""
     *others, last = rival.effects
     new = [e for e in best.effects if e.joint in changed and e.joint != last.joint]
