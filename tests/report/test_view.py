@@ -21,7 +21,7 @@ from flexjoint.core.limits import DESCRIPTION
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as recording
 from flexjoint.report import view
-from flexjoint.report.view import browser, geometry, layers, meshes, motion
+from flexjoint.report.view import browser, geometry, layers, mesh_files, meshes, motion
 from flexjoint.report.view import page as view_page
 from flexjoint.robot import robot
 from flexjoint.robot.robot import Robot
@@ -389,6 +389,45 @@ def test_a_mesh_that_lies_is_refused(
     with pytest.raises(RobotError, match=said):
         geometry.shapes(loaded)
     assert "Error" not in capfd.readouterr().err
+
+
+OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+COLLADA = b'<mesh><%b count="1"><input offset="0"/><input offset="1"/>%b</%b></mesh>'
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "count"),
+    [
+        ("m.stl", b"\0" * 80 + b"\3\0\0\0" + b"\0" * 150, 3),
+        ("m.stl", b"\0" * 80 + b"\1\0\0\0" + b"\0" * 150, 3),  # it states fewer than there are
+        ("m.STL", b"solid\n" + 2 * b"facet\nouter loop\nvertex 0 0 0\nendloop\nendfacet\n", 2),
+        ("m.obj", OBJ + b"f 1 2 3\n f 1/1 2/2 3/3 4/4\nfoo 1 2 3 4\n", 3),
+        ("m.dae", COLLADA % (b"triangles", b"<p>0 0 1 1 2 2\n0 0 1 1 2 2 </p>", b"triangles"), 2),
+        ("m.dae", COLLADA % (b"polylist", b"<vcount>4 3</vcount><p>%b</p>" % (b"0 0 " * 7), b"polylist"), 3),
+        ("m.dae", COLLADA % (b"polygons", 2 * (b"<p>%b</p>" % (b"0 0 " * 5)), b"polygons"), 6),
+        ("m.ply", b"\0" * 120, 10),
+    ],
+)
+def test_triangles_are_counted_before_a_mesh_is_read(
+    tmp_path: Path, name: str, content: bytes, count: int
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    assert mesh_files.triangles_in(tmp_path / name, 1) == count
+    assert mesh_files.triangles_in(tmp_path / name, 10_000) == 0  # so many do not fit in
+
+
+def test_a_mesh_of_too_many_triangles_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    content = OBJ + b"f 1 2 3\n" * (DESCRIPTION.mesh_triangles + 1)
+    loaded = with_mesh(tmp_path, "m.obj", content)
+    with pytest.raises(RobotError, match=r"mesh m.obj has more than 400000 triangles, .*make it coarser"):
+        geometry.shapes(loaded)
+
+
+def test_of_triangles_that_collapse_to_one_the_first_is_kept() -> None:
+    rows = np.sort(np.random.default_rng(1).integers(0, 12, (5000, 3)), axis=1)
+    body = meshes.Mesh(np.random.default_rng(2).normal(size=(12, 3)), rows)
+    coarse = meshes.simplified(body, 4)
+    assert len(np.unique(np.sort(coarse.triangles, axis=1), axis=0)) == len(coarse.triangles)
 
 
 @pytest.mark.parametrize("kind", ["urdf", "mjcf"])

@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import coal
@@ -19,6 +20,7 @@ from flexjoint.core.limits import DESCRIPTION
 from flexjoint.core.messages import shown
 from flexjoint.core.running import native_output
 from flexjoint.report.view import meshes
+from flexjoint.report.view.mesh_files import triangles_in
 from flexjoint.report.view.meshes import Mesh
 from flexjoint.robot.description import Description, leaves_package
 from flexjoint.robot.robot import Robot
@@ -98,19 +100,28 @@ def _check_meshes(description: Description, folders: Sequence[str]) -> None:
     text = description.text or read_text(description.path, DESCRIPTION.file_bytes)
     within = re.search(r"""meshdir\s*=\s*["']([^"']*)""", text)  # of an MJCF
     places = [*folders, *([os.path.join(description.path.parent, within[1])] if within else [])]
-    for name in re.findall(r"""\bfile(?:name)?\s*=\s*["']([^"']*)""", text):
+    for name in dict.fromkeys(re.findall(r"""\bfile(?:name)?\s*=\s*["']([^"']*)""", text)):
         if name.startswith("package://") and leaves_package(name):
             raise RobotError(
                 f"{description.path}: mesh {shown(name, 100)} leaves its package; name a place below it"
             )
         for place in places:
-            path = os.path.join(place, name.removeprefix("package://").removeprefix("file://"))
-            if os.path.isfile(path) and os.path.getsize(path) > DESCRIPTION.mesh_bytes:
-                raise RobotError(
-                    f"{description.path}: mesh {shown(name, 100)} has more than {DESCRIPTION.mesh_bytes}"
-                    " bytes, the most that is read (docs/reference/limits.md); make it coarser, or view the"
-                    " robot as sticks"
-                )
+            path = Path(place, name.removeprefix("package://").removeprefix("file://"))
+            if os.path.isfile(path):
+                _check_size(path, f"{description.path}: mesh {shown(name, 100)}")
+
+
+def _check_size(path: Path, what: str) -> None:
+    most = ""
+    if path.stat().st_size > DESCRIPTION.mesh_bytes:
+        most = f"{DESCRIPTION.mesh_bytes} bytes"
+    elif triangles_in(path, DESCRIPTION.mesh_triangles) > DESCRIPTION.mesh_triangles:
+        most = f"{DESCRIPTION.mesh_triangles} triangles"
+    if most:
+        raise RobotError(
+            f"{what} has more than {most}, the most that is read (docs/reference/limits.md); make it coarser,"
+            " or view the robot as sticks"
+        )
 
 
 def _mesh(item: Any, known: dict[str, Mesh]) -> tuple[Mesh | None, Sequence[float]]:
