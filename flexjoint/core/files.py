@@ -112,8 +112,8 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
 
 @contextlib.contextmanager
 def all_or_none() -> Iterator[None]:
-    """Files written within appear together when the last one is whole; where one fails, none does. Within
-    another one they appear with that one's.
+    """Files written within appear together when the last one is whole; where one fails, none does, and what
+    was there before stays. Within another one they appear with that one's.
 
     Raises FlexJointError when one of the places cannot be written."""
     if _held.get() is not None:
@@ -123,13 +123,49 @@ def all_or_none() -> Iterator[None]:
     before = _held.set(held)
     try:
         yield
-        for temporary, path in held:
-            with _as_refusal(path):
-                os.replace(temporary, path)
+        _named(held)
     finally:
         _held.reset(before)
         for temporary, _ in held:
             _remove(temporary)
+
+
+def _named(held: Sequence[tuple[str, Path]]) -> None:
+    """Give whole files their names. Where one cannot have it (a folder took its place meanwhile) those before
+    give theirs back to what was there."""
+    done: list[tuple[Path, str | None]] = []  # and what was there, under another name
+    before: list[str] = []
+    try:
+        for temporary, path in held:
+            with _as_refusal(path):
+                kept = _kept(path) if len(held) > 1 else None
+                before += [] if kept is None else [kept]
+                os.replace(temporary, path)
+                done.append((path, kept))
+    except BaseException:
+        for path, kept in reversed(done):
+            with contextlib.suppress(OSError):
+                path.unlink() if kept is None else os.replace(kept, path)
+        raise
+    finally:
+        for kept in before:
+            _remove(kept)
+
+
+def _kept(path: Path) -> str | None:
+    """A second name of a file, beside it, or a copy where a disk knows no second names; None: there is no
+    such file."""
+    if not path.is_file():
+        return None
+    handle, kept = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:PREFIX]}.")
+    os.close(handle)
+    _unfinished.add(kept)
+    try:
+        os.unlink(kept)
+        os.link(path, kept, follow_symlinks=False)
+    except OSError:
+        shutil.copy2(path, kept)
+    return kept
 
 
 @contextlib.contextmanager

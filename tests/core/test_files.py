@@ -30,6 +30,24 @@ def test_where_one_fails_none_appears(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.parametrize("links", [False, True])
+def test_where_one_cannot_have_its_name_all_others_are_as_they_were(
+    tmp_path: Path, links: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: object, follow_symlinks: bool) -> None:
+        raise OSError(95, "Operation not supported")
+
+    if not links:
+        monkeypatch.setattr("os.link", none)
+    (tmp_path / "old").write_text("as it was")
+    with pytest.raises(FlexJointError, match=r"cannot write .*/folder: Is a directory"), all_or_none():
+        for name in ("new", "old", "folder", "last"):
+            write_text(tmp_path / name, "new")
+        (tmp_path / "folder").mkdir()  # meanwhile
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "old"]
+    assert (tmp_path / "old").read_text() == "as it was"
+
+
 @pytest.mark.parametrize("there", [False, True])
 def test_a_folder_appears_with_all_that_is_in_it(tmp_path: Path, there: bool) -> None:
     out = tmp_path / "new" / "out"
