@@ -9,7 +9,7 @@ import json
 import math
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -104,15 +104,6 @@ def quiet() -> Iterator[None]:
         yield
 
 
-@fuzz(60)
-@given(data=mutated(YAML))
-def test_a_robot_file(folder: Path, data: bytes) -> None:
-    path = folder / "robot.yaml"
-    path.write_bytes(data)
-    with only_refusals():
-        robot.load(path)
-
-
 @pytest.mark.parametrize(
     ("suffix", "good"),
     [("urdf", URDF), ("xml", MJCF.format(free="")), ("sdf", SDF)],
@@ -169,49 +160,51 @@ def test_a_log(folder: Path, suffix: str, data: st.DataObject) -> None:
         assert np.all(np.diff(read.time) > 0.0)
 
 
+Reader = Callable[[Path, Robot], object]  # of a file; the robot is what it is of
+
+
+def read_robot(path: Path, _arm: Robot) -> None:
+    robot.load(path)
+
+
+def read_poses(path: Path, arm: Robot) -> None:
+    assert np.all(np.isfinite(theta_d.read_poses(path, arm).q))
+
+
+def read_diagnosis(path: Path, arm: Robot) -> None:
+    experiment.read(path, arm)
+
+
+def read_known(path: Path, arm: Robot) -> None:
+    known_of(arm, path)
+
+
+def read_mapping(path: Path, _arm: Robot) -> None:
+    mapping.read(path)
+
+
+def read_list(path: Path, _arm: Robot) -> None:
+    assert all(math.isfinite(one.time) for one in roster.read(path, path.with_name("arm.yaml")).entries)
+
+
+@pytest.mark.parametrize(
+    ("name", "good", "read"),
+    [
+        pytest.param("robot.yaml", YAML, read_robot, id="robot file"),
+        pytest.param("poses.csv", POSES, read_poses, id="table of poses"),
+        pytest.param("diagnosis.json", DIAGNOSIS, read_diagnosis, id="diagnosis"),
+        pytest.param("known.json", KNOWN, read_known, id="what a check is made against"),
+        pytest.param("map.yaml", MAPPING, read_mapping, id="mapping"),
+        pytest.param("list.csv", LIST, read_list, id="list of a fleet"),
+    ],
+)
 @fuzz(60)
-@given(data=mutated(POSES))
-def test_a_table_of_poses(folder: Path, arm: Robot, data: bytes) -> None:
-    path = folder / "poses.csv"
-    path.write_bytes(data)
+@given(data=st.data())
+def test_a_file(folder: Path, arm: Robot, name: str, good: bytes, read: Reader, data: st.DataObject) -> None:
+    path = folder / name
+    path.write_bytes(data.draw(mutated(good)))
     with only_refusals():
-        assert np.all(np.isfinite(theta_d.read_poses(path, arm).q))
-
-
-@fuzz(60)
-@given(data=mutated(DIAGNOSIS))
-def test_a_diagnosis(folder: Path, arm: Robot, data: bytes) -> None:
-    path = folder / "diagnosis.json"
-    path.write_bytes(data)
-    with only_refusals():
-        experiment.read(path, arm)
-
-
-@fuzz(60)
-@given(data=mutated(KNOWN))
-def test_what_a_check_is_made_against(folder: Path, arm: Robot, data: bytes) -> None:
-    path = folder / "known.json"
-    path.write_bytes(data)
-    with only_refusals():
-        known_of(arm, path)
-
-
-@fuzz(60)
-@given(data=mutated(MAPPING))
-def test_a_mapping(folder: Path, data: bytes) -> None:
-    path = folder / "map.yaml"
-    path.write_bytes(data)
-    with only_refusals():
-        mapping.read(path)
-
-
-@fuzz(60)
-@given(data=mutated(LIST))
-def test_a_list_of_a_fleet(folder: Path, data: bytes) -> None:
-    path = folder / "list.csv"
-    path.write_bytes(data)
-    with only_refusals():
-        assert all(math.isfinite(entry.time) for entry in roster.read(path, folder / "arm.yaml").entries)
+        read(path, arm)
 
 
 @fuzz(60)
