@@ -76,8 +76,13 @@ def check_folder(path: Path, folder: Path) -> None:
     folder = folder.absolute()
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise FlexJointError(f"cannot write {path}: no file can be made in {folder}; choose another place")
+    try:  # what the rights say does not hold on every disk, nor for every user
+        with tempfile.TemporaryFile(dir=folder):
+            return
+    except OSError:
+        raise FlexJointError(
+            f"cannot write {path}: no file can be made in {folder}; choose another place"
+        ) from None
 
 
 def write_bytes(path: Path, content: bytes) -> None:

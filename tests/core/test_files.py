@@ -77,6 +77,17 @@ def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "a").read_text() == "mine"
 
 
+def test_a_place_is_tried_whatever_its_rights_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rights do not hold for every user, nor on every disk."""
+
+    def refused(dir: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(dir))
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
+    with pytest.raises(FlexJointError, match=r"no file can be made in .*; choose another place"):
+        check_folder(tmp_path / "a", tmp_path / "new")
+
+
 def test_a_place_below_a_file_takes_no_file(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     check_folder(tmp_path / "a", tmp_path / "new" / "newer")

@@ -43,6 +43,8 @@ def run(arguments: argparse.Namespace) -> None:
     check_place(out, target.suffixes, [path for path in inputs if path is not None])
     if arguments.measure is not None and target.name != "mjcf":
         raise FlexJointError(f"--measure runs MuJoCo, and {target.name} is not its file; use --to mjcf")
+    if not arguments.horizon > 0.0:
+        raise FlexJointError(f"--horizon: expected seconds above 0, got {arguments.horizon:g}; give e.g. 0.5")
     robot = load_chosen(arguments)
     if robot.urdf is not None and out.exists() and out.samefile(robot.urdf):
         raise FlexJointError(f"cannot write {out}: it is the robot's own description; give another name")

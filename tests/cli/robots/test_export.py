@@ -69,6 +69,7 @@ def test_wrong_use_is_one_line_and_writes_nothing(
             "use --to mjcf",
         ),
         (("export", robot, "--to", "mjcf", "--out", out, "--measure", tmp_path / "no.csv"), "no.csv"),
+        (("export", robot, "--to", "mjcf", "--out", out, "--horizon", "nan"), "expected seconds above 0"),
     ]
     for words, said in wrong:
         assert said in complaint(capsys, *words), words
