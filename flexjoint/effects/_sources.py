@@ -31,3 +31,12 @@ TORQUE_FLANGE = Source(
     "https://www.hbkworld.com/en/knowledge/resource-center/articles/"
     "tips-and-tricks-terms-and-expressions-for-specifying-torque-transducers-glossary",
 )
+HIWIN = Source(
+    "HIWIN, manual of the IM-2 torque motors, page 73",
+    "https://manualshive.com/en/manual/hiwin/im-2-13/2140493?page=73",
+)
+TX40 = Source(
+    "FIGAROH, parameters of a Staubli TX40",
+    "https://github.com/thanhndv212/figaroh-examples/blob/6e6f166c2bcda6967e8f94bbb296e135c9cf842b/"
+    "examples/staubli_TX40/config/TX40_config.yaml",
+)

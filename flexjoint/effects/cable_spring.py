@@ -6,7 +6,7 @@ import numpy as np
 
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Signals, Site
+from flexjoint.effects._base import Effect, Signals, Site, Source, Typical
 from flexjoint.effects._starts import grid
 
 
@@ -18,6 +18,16 @@ class CableSpring(Effect):
     params = (
         Parameter("stiffness", "N m/rad", "k", value=1.0, low=0.0, high=1e7),
         Parameter("rest", "rad", "q_0", value=0.0, low=-100.0, high=100.0, null=None),
+    )
+    typical = (
+        Typical(
+            "0.14 and 0.36 N m/rad at joints 1 and 2 of a da Vinci's patient-side arm",
+            Source(
+                "dvrk_dynamics, identified parameters",
+                "https://github.com/gafontanelli/DVRK-dynamicModel/blob/90aef4bc7d4ac33290be3027a74533b2740e9565/"
+                "dvrk_dynamics/include/PSM_dynamics_parameters.h",
+            ),
+        ),
     )
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:

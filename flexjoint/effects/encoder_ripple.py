@@ -5,7 +5,7 @@ from typing import Any
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Kind, Signals, Site, Word
+from flexjoint.effects._base import Effect, Kind, Signals, Site, Source, Typical, Word
 from flexjoint.effects._starts import PHASES, few_periods, grid, ripple_cycles
 
 
@@ -22,6 +22,15 @@ class EncoderRipple(Effect):
         Parameter("phase", "rad", r"\psi", value=0.0, low=-7.0, high=7.0, null=None, wraps=True),
     )
     words = (Word("channel", ("q", "theta"), "q"),)
+    typical = (
+        Typical(
+            "4 deg of a period, twice in each: sine and cosine are 8 deg off (7 mrad at 10 periods a turn)",
+            Source(
+                "VESC, firmware, pull request 569, a user's motor with Hall sensors",
+                "https://github.com/vedderb/bldc/pull/569",
+            ),
+        ),
+    )
 
     def channels(self, p: Any) -> tuple[str, ...]:
         return (p.channel,)

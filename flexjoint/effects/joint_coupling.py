@@ -4,7 +4,7 @@ from typing import Any
 
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Signals, Site, Word
+from flexjoint.effects._base import Effect, Signals, Site, Source, Typical, Word
 
 
 class JointCoupling(Effect):
@@ -22,6 +22,24 @@ class JointCoupling(Effect):
     law = r"\tau = \tau_m + c\,\tau_{m,\,\mathrm{neighbour}}"
     params = (Parameter("share", "1", "c", value=0.05, low=-20.0, high=20.0),)
     words = (Word("side", ("before", "after"), "before"),)
+    typical = (
+        Typical(
+            "a share of -0.46: a wrist's pitch motor turns yaw by so much of the pitch",
+            Source(
+                "da Vinci Research Kit, the instrument 400194",
+                "https://github.com/jhu-dvrk/sawIntuitiveResearchKit/blob/"
+                "bc6851fb79bc74ce6b62497a9c3c592e239b54f3/core/share/tool/MEGA_NEEDLE_DRIVER_400194.json",
+            ),
+        ),
+        Typical(
+            "a share of -0.82, likewise",
+            Source(
+                "da Vinci Research Kit, the instrument 400006",
+                "https://github.com/jhu-dvrk/sawIntuitiveResearchKit/blob/"
+                "00bb61b8d489925324c20bf9fd29344375e74275/share/tool/LARGE_NEEDLE_DRIVER_400006.json",
+            ),
+        ),
+    )
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
         return x + p.share * (s.tau_m_before if p.side == "before" else s.tau_m_after)

@@ -5,6 +5,7 @@ from typing import Any
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
 from flexjoint.effects._base import Effect, Kind, Signals, Site, Source, Typical
+from flexjoint.effects._sources import HIWIN
 
 
 class TorqueGain(Effect):
@@ -23,13 +24,7 @@ class TorqueGain(Effect):
                 "https://infosys.beckhoff.com/content/1033/am8100/1333724939.html",
             ),
         ),
-        Typical(
-            "up to 10 %, the tolerance of all data of a torque motor",
-            Source(
-                "HIWIN, manual of the IM-2 torque motors, page 73",
-                "https://manualshive.com/en/manual/hiwin/im-2-13/2140493?page=73",
-            ),
-        ),
+        Typical("up to 10 %, the tolerance of all data of a torque motor", HIWIN),
     )
 
     def map(self, s: Signals, p: Any, x: Value) -> Value:
