@@ -4,7 +4,7 @@ from typing import Any
 
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
-from flexjoint.effects._base import Effect, Signals, Site, Source, Typical
+from flexjoint.effects._base import Effect, Signals, Site
 
 
 class LinkViscousFriction(Effect):
@@ -14,15 +14,6 @@ class LinkViscousFriction(Effect):
     on_rigid = "motor_viscous_friction"
     law = r"-d_l\,\dot q"
     params = (Parameter("coefficient", "N m s/rad", "d_l", value=0.1, low=0.0, high=1e5),)
-    typical = (
-        Typical(
-            "0.067 N m s/rad at joint 1 of a Panda, whose torque sensors are at the links",
-            Source(
-                "Gaz et al. 2019, model of the Panda, issue 6, a user's reading",
-                "https://github.com/marcocognetti/FrankaEmikaPandaDynModel/issues/6",
-            ),
-        ),
-    )
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:
         return -p.coefficient * s.dq
