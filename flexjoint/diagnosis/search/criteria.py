@@ -27,15 +27,20 @@ def price(result: Fit) -> float:
     """Energy that a set of effects must explain at least; `score` adds what the number of joints and missing
     sensors cost. A number that changes no residual is free (for a payload that only moves in a straight line:
     its position on the link)."""
+    return sum(prices(result))
+
+
+def prices(result: Fit) -> list[float]:
+    """That of each effect."""
     limits = result.settings.search
     numbers = Counter(
         slot.effect for slot, tangent in zip(result.slots, result.tangents, strict=True) if np.any(tangent)
     )
-    total = 0.0
+    out = []
     for k, e in enumerate(result.effects):
         first = limits.price if own_number(result.problem, e) is None else limits.price_nominal
-        total += first + limits.price_number * max(0, numbers[k] + (e.since is not None) - 1)
-    return total
+        out.append(first + limits.price_number * max(0, numbers[k] + (e.since is not None) - 1))
+    return out
 
 
 def score(result: Fit) -> float:

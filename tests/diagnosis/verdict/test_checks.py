@@ -11,11 +11,13 @@ from support.diagnose_cases import Case as Machine
 from support.diagnose_cases import as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict.cases import Case
-from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection
+from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection, uncertain
 from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
+from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
 from flexjoint.diagnosis.verdict.review import notes, reviewed
 from flexjoint.effects import Planned, effect
 
@@ -109,3 +111,22 @@ def test_a_problem_is_frozen() -> None:
     for one in (problem, other, problem.only(problem.time > 1.0)):
         with pytest.raises(AttributeError, match="frozen"):
             one.level = other.level
+
+
+def test_a_cause_of_more_numbers_must_be_surer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a ripple, amplitude, cycles and phase are chosen from very many: at five standard errors it is one
+    of those that noise makes. A friction of one number is not."""
+    machine = Machine("lever", "rich", 3)
+    problem = Problem(balances_of(nominal("lever"), as_recording(machine.with_causes())))
+    ripple = effect("cogging", "swing", amplitude=0.1, cycles=11.0, phase=0.3)
+    rubbing = effect("motor_coulomb_friction", "swing", level=0.1)
+    best = fit(problem, [ripple, rubbing], iterations=0)
+    case: Any = SimpleNamespace(selection=SimpleNamespace(best=best))
+
+    objected = []
+    for sizes in (3.0, 5.0, 8.0):
+        errors = [{"amplitude": [0.1 / sizes]}, {"level": [0.1 / sizes]}]
+        monkeypatch.setattr(uncertain, "standard_errors", lambda _best, errors=errors: errors)
+        objected.append([o.effect.effect.name for o in UncertainSize().objections(case)])
+
+    assert objected == [["cogging"], ["cogging"], []]

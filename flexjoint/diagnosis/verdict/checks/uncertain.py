@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from flexjoint.diagnosis.regression.uncertainty import certainty, standard_errors
+from flexjoint.diagnosis.search.criteria import prices
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
@@ -12,8 +13,9 @@ class UncertainSize(Check[Case]):
     name = "uncertain size"
     stage = "balances"
     reason = (
-        "The numbers of a cause must differ by several standard errors from those of no effect; where the"
-        " residual is not white, these errors are larger than the curvature of a fit suggests."
+        "The numbers of a cause must differ from those of no effect by as many standard errors as its price"
+        " in chi-square asks for; where the residual is not white, these errors are larger than the curvature"
+        " of a fit suggests, and the energy that it explains is worth less."
     )
 
     def limit(self, settings: Settings) -> float:
@@ -22,9 +24,10 @@ class UncertainSize(Check[Case]):
     def objections(self, case: Case) -> tuple[Objection, ...]:
         best = case.selection.best
         pairs = zip(best.effects, standard_errors(best), strict=True)
-        certain = [certainty(best, e, std) for e, std in pairs]
-        worst = int(np.argmin(certain))
-        if certain[worst] >= self.limit(best.settings):
+        certain = np.array([certainty(best, e, std) for e, std in pairs])
+        needed = np.maximum(self.limit(best.settings), np.sqrt(prices(best)))
+        worst = int(np.argmin(certain / needed))
+        if certain[worst] >= needed[worst]:
             return ()
-        why = f"its size is known to only {certain[worst]:.1f} standard errors"
-        return (Objection(best.effects[worst], certain[worst], why),)
+        why = f"its size is known to only {certain[worst]:.1f} standard errors, of {needed[worst]:.1f} needed"
+        return (Objection(best.effects[worst], float(certain[worst]), why),)
