@@ -188,8 +188,8 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
             return False
     if contradicted(trial, without):
         return False
-    beyond_chance = gained >= paid * _chance(trial, gained, added)
-    return beyond_chance and shown_by_motion(trial, gained, added) and material(trial, added, gained)
+    seen = shown_by_motion(trial, gained, added) and material(trial, added, gained)
+    return seen and gained >= paid * _chance(trial, gained, added)
 
 
 def _left_beside(trial: Fit, added: Planned) -> float:
@@ -367,17 +367,15 @@ def _chance(trial: Fit, gained: float, added: Planned) -> float:
     own = shown & np.array([trial.effects[slot.effect] is added for slot in trial.slots])
     if not np.any(own):
         return 1.0
-    noise = trial.problem.whitening.drawn
-    by_all, by_others = (_along(trial, which, noise) for which in (shown, shown & ~own))
+    tangents, own = trial.tangents[shown], own[shown]
+    normal = trial.problem.product(tangents, tangents)
+    slope = trial.problem.product(tangents, trial.problem.whitening.drawn)
+    by_all, by_others = _along(normal, slope), _along(normal[np.ix_(~own, ~own)], slope[~own])
     return max(1.0, float(np.mean(by_all - by_others)) / int(np.sum(own)))
 
 
-def _along(trial: Fit, which: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """(draws,) energy of noise (draws, samples) that some of a fit's numbers explain."""
-    tangents = trial.tangents[which]
-    if not len(tangents):
-        return np.zeros(len(noise))
-    normal, slope = trial.problem.product(tangents, tangents), trial.problem.product(tangents, noise)
+def _along(normal: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """(draws,) energy that numbers explain, from their normal matrix (k, k) and slopes (k, draws)."""
     return np.asarray(np.sum(slope * (np.linalg.pinv(normal, hermitian=True) @ slope), axis=0))
 
 
