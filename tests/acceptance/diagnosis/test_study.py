@@ -17,9 +17,7 @@ from study.run import Range, diagnosed, least_excess, ranges, records, write_ran
 from study.score import detectable, each_detectable, outcome, struck_outcome
 from study.summary import Rate
 from support.diagnose_cases import Case, as_recording, nominal
-from support.thorough import sample, thorough
-
-from flexjoint.effects import catalogue
+from support.thorough import sample
 
 # a fixed sample of the cases of `make study`: what every change must keep
 NAMED = (
@@ -35,22 +33,19 @@ NAMED = (
     ("double", 31),  # a gain beside an offset that explains ten thousand times as much
     ("double", 56),  # a friction with two levels, at rest between two ways
     ("double", 62),  # an offset that a preload explains as well but for single moments
+    ("double", 107),  # a law that gives way to a plainer one, beside which a cause was dropped
     ("double", 89),  # a gap that by itself is wide enough for the offset beside it
     ("several", 6),
     ("several", 17),  # a delay of all sensors of one joint, which is one of its torque in any recording
     ("several", 27),  # two levels of a friction, not one and a constant torque
     ("several", 15),  # a friction at rest whose springs are known up to unknown offsets
-    ("beyond", 36),  # a torque sensor's noise, moved in time by chance to where it costs least
     ("beyond", 12),  # Dahl's friction from some time on, whose state begins then
+    ("beyond", 36),  # a torque sensor's noise, moved in time by chance to where it costs least
     ("beyond", 40),  # a ripple of which the motion makes hardly more than one period
     ("beyond", 44),  # a ripple that a slow motion makes slow
     ("beyond", 100),
     ("beyond", 112),
     ("beyond", 128),
-)
-WIDER = (
-    # of 0.53 N m of Coulomb friction, 0.37 +- 0.11 N m more below 8 mrad/s: what the model of a stop leaves
-    ("double", 107),
 )
 HEALTHY = (0, 1, 2, 3, 748)  # of the last one the first second would tell of a delay that sets in
 STRUCK = (74,)
@@ -294,19 +289,6 @@ def test_planted_causes_are_named(part: str, number: int) -> None:
     found = diagnosed(make(part, number))
     assert detectable(found)
     assert outcome(found) in ("exact", "tied"), misses([found])
-
-
-@thorough
-@pytest.mark.parametrize(("part", "number"), WIDER)
-def test_planted_causes_are_named_or_a_law_that_contains_them(part: str, number: int) -> None:
-    found = diagnosed(make(part, number))
-    told = {(f["effect"], f["joint"]): f for f in found["findings"]}
-    assert len(told) == len(found["truth"]), misses([found])
-    for truth in found["truth"]:
-        names = (truth["effect"], *(e.name for e in catalogue().values() if truth["effect"] in e.contains))
-        (cause,) = [told[name, truth["joint"]] for name in names if (name, truth["joint"]) in told]
-        level = truth["parameters"]["level"]
-        assert cause["parameters"]["level"]["value"][0] == pytest.approx(level, rel=0.02), misses([found])
 
 
 @pytest.mark.parametrize("number", sample(HEALTHY, one_in=4))

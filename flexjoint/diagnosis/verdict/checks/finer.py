@@ -20,7 +20,8 @@ class FinerThanKnown(Check[StatedCase]):
     reason = "Where the data do not support the extra parameters of a law, the simpler law is reported."
 
     def limit(self, settings: Settings) -> float:
-        return settings.verdict.sure
+        """[standard errors] as many as the price of a further number in chi-square asks for."""
+        return max(settings.verdict.sure, settings.search.price_number**0.5)
 
     def objections(self, case: StatedCase) -> tuple[Objection, ...]:
         best = case.selection.best
@@ -72,21 +73,21 @@ def finer(best: Fit, found: Sequence[Finding], estimation: Estimation | None) ->
 
 
 def _finer(best: Fit, finding: Finding, estimation: Estimation) -> bool:
-    limits = best.settings.verdict
+    sure = FinerThanKnown().limit(best.settings)
     effect = finding.planned.effect
     if effect.alike:
         one, other = (param for param in effect.params if param.name in effect.alike)
         (x, std), (y, other_std) = (fitted_number(finding, param) for param in (one, other))
         tight = correlation(finding, estimation, [one, other])[0, 1]
         spread = std**2 + other_std**2 - 2.0 * tight * std * other_std
-        return bool((x - y)[0] ** 2 < limits.sure**2 * spread[0])
+        return bool((x - y)[0] ** 2 < sure**2 * spread[0])
     shapes = [p for p in effect.params if p.null is None and p.size == 1 and not p.wraps]
     if effect.contains and any(_any_shape(finding, p) for p in shapes):
         return True
     for name in effect.contains:
         added = numbers_beyond(effect, name)
         parts = [added, [p for p in effect.nulls if p not in added]] if added else []
-        if any(all(distance(best, finding, p, estimation, ()) < limits.sure for p in part) for part in parts):
+        if any(all(distance(best, finding, p, estimation, ()) < sure for p in part) for part in parts):
             return True
     return False
 
