@@ -308,16 +308,16 @@ class Noise:
             spectra[:, :, part] = of_all.transpose(2, 1, 0)
         joints = self.balances.motion.robot.joints
         links = [n + k if joint.rigid else k for k, joint in enumerate(joints)]  # their angles
+        beyond = self.balances.motion.rigid.mass - self.load[2]
         for own, noise in zip(spectra, readings, strict=True):
-            yield self._along_motion(own, -(omega**2) * noise[links])
+            yield self._along_motion(own, -(omega**2) * noise[links], beyond)
 
-    def _along_motion(self, spectra: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
+    def _along_motion(self, spectra: np.ndarray, accelerations: np.ndarray, beyond: np.ndarray) -> np.ndarray:
         """(m, N) balances of these spectra (m, F), and what the noise of the links' accelerations (n, F) adds
-        where inertias differ from their mean."""
+        where inertias are `beyond` (N, n, n) their mean."""
         window, joints = self.balances.filter, self.balances.motion.robot.joints
         both = fft.irfft(np.concatenate([spectra, accelerations]), window.size)[:, : window.count]
         series, turning = both[: len(spectra)], both[len(spectra) :]
-        beyond = self.balances.motion.rigid.mass - self.load[2]
         for r, row in enumerate(self.balances.rows):
             if row.balance == LINK or joints[row.joint].rigid:
                 scale = self.scales[row.joint] if row.balance == MOTOR else 1.0
