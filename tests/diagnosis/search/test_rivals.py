@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from planting import Planted, plant, robot_file
@@ -49,14 +49,14 @@ def test_beside_what_took_a_place_further_causes_are_looked_for(monkeypatch: pyt
     ripple = Planted("cogging", "turn", {"amplitude": 0.05, "cycles": 20.0, "phase": 0.5})
     recorded = as_recording(Case("turret", "rich", 3, inexact=0.02).with_causes(cable, ripple))
     problem = Problem(balances_of(nominal("turret"), recorded))
-    grown, offset = selection._grown, effect("torque_offset", "turn", offset=0.1)
+    best_of, offset = selection._best_at_own_level, effect("torque_offset", "turn", offset=0.1)
     rounds = []
 
-    def first_wrong(best: Fit, *others: Any) -> Fit:
+    def first_wrong(best: Fit, larger: Sequence[Fit]) -> Fit | None:
         rounds.append(len(rounds))
-        return grown(best, *others) if len(rounds) > 1 else at_own_level(fit(problem, [offset]))
+        return best_of(best, larger) if len(rounds) > 1 else at_own_level(fit(problem, [offset]))
 
-    monkeypatch.setattr(selection, "_grown", first_wrong)
+    monkeypatch.setattr(selection, "_best_at_own_level", first_wrong)
     found = selection.select(problem, enumerate_candidates(problem), lambda _share, _what: None).best
 
     assert {e.effect.name for e in found.effects} == {"cable_spring", "cogging"}
