@@ -19,6 +19,7 @@ from support.robots.ground_robots import (
     hold,
     lifted,
 )
+from support.thorough import thorough
 
 from flexjoint.core.errors import ModelError, RobotError, SimulationError, UnknownNameError
 from flexjoint.effects import effect
@@ -187,6 +188,7 @@ def test_at_rest_forces_are_those_that_balance(pose: str) -> None:
     )  # 2 mm deep, tilted by 1 mrad; the largest is 90 N m
 
 
+@thorough
 def test_it_lands_and_stands_for_ten_seconds() -> None:
     """Required: 1e-3 of the weight, 0.1 mm of the feet in 10 s."""
     model = rigid(load("centauro"))

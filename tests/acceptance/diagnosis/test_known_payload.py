@@ -61,6 +61,7 @@ def test_the_same_recording_twice_names_what_it_names_once() -> None:
     assert tied(twice) == tied(once), summary(twice)
 
 
+@thorough
 def test_a_known_payload_in_one_recording_tells_the_gains_apart() -> None:
     pair = diagnose(lever(), [swung(3, "gain"), swung(4, "gain", "load")], payloads=(None, LOAD))
     assert [f.effect for f in pair.findings] == ["torque_sensor_gain"], summary(pair)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from planting import ROBOTS, Planted, plant
 from support.diagnose_cases import SENSORS, as_recording, nominal, summary
+from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
@@ -62,7 +63,7 @@ def test_a_stiffness_beside_unknown_offsets_leaves_the_noise(scale: float) -> No
     ("excitation", "cause"),
     [
         ("steps", GAP),
-        ("steps", Planted("asymmetric_friction", "swing", LEVELS)),
+        pytest.param("steps", Planted("asymmetric_friction", "swing", LEVELS), marks=thorough),
         ("rich", Planted("spring_stiffness", "swing", {"scale": 0.22})),
     ],
     ids=lambda value: value if isinstance(value, str) else value.effect,

@@ -255,10 +255,16 @@ def in_an_empty_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 WITH_EXAMPLES = [page for page in PAGES if blocks(page, "python")]
+DIAGNOSE_OFTEN = ("planning_experiments.md", "several_recordings.md")
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in WITH_EXAMPLES if page.name not in RUN_ELSEWHERE], ids=lambda page: page.name
+    "page",
+    [
+        pytest.param(page, id=page.name, marks=thorough if page.name in DIAGNOSE_OFTEN else ())
+        for page in WITH_EXAMPLES
+        if page.name not in RUN_ELSEWHERE
+    ],
 )
 def test_the_examples_of_a_page_run_one_after_the_other(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

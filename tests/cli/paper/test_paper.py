@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.robots.arms import PLANAR, make
+from support.thorough import thorough
 
 from flexjoint.cli.main import main
 from flexjoint.cli.paper import motions, one_link_page, one_link_tables
@@ -158,6 +159,7 @@ def test_the_varying_reference_is_read_from_the_left_by_all() -> None:
     assert abs(exact.tau_m[at_step]) < 5.0 and exact.tau_m[at_step + 1] == -33.0
 
 
+@thorough
 def test_ramp_and_step_beside_the_papers_figures() -> None:
     """The varying reference past its step; the chirp adds nothing to the maxima."""
     rows = paper.varying_table(seconds=paper.RAMP + 1.0).rows

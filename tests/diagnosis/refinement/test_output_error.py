@@ -273,6 +273,7 @@ def test_standard_errors_cover_the_truth() -> None:
     assert np.sqrt(np.mean(z**2)) < 1.5, z
 
 
+@thorough
 def test_errors_are_smaller_than_those_of_the_balances() -> None:
     shares = []
     for k, (_, planted) in enumerate(COVERED):

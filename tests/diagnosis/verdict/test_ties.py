@@ -65,7 +65,7 @@ def test_on_one_joint_a_late_torque_is_late_readings() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "named"), sample([(0.0005, "torque_delay"), (0.02, "current_lag")], one_in=2, several=True)
+    ("seconds", "named"), sample([(0.02, "current_lag"), (0.0005, "torque_delay")], one_in=2, several=True)
 )
 def test_a_lag_is_named_a_delay_where_both_fit(seconds: float, named: str) -> None:
     """A lag differs from a dead time to second order in it."""

@@ -178,6 +178,7 @@ def test_equivalent_causes_are_called_so() -> None:
     assert "the same to every recording" in " ".join(sentences(plan))
 
 
+@thorough
 def test_a_sensor_is_proposed_where_no_motion_within_the_limits_decides() -> None:
     truth = effect("link_viscous_friction", "swing", coefficient=0.2)
     noise = {(channel, "swing"): NOISE[channel] for channel in ("theta", "dtheta")}
@@ -191,6 +192,7 @@ def test_a_sensor_is_proposed_where_no_motion_within_the_limits_decides() -> Non
 
 
 # --- nothing known yet, and the command line --------------------------------------------------------------
+@thorough
 def test_the_command_excites_the_catalogue_and_writes_what_simulate_takes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

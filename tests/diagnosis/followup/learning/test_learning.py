@@ -93,6 +93,7 @@ def test_a_law_of_two_signals_is_learned_where_none_of_one_holds() -> None:
     assert content["learned"]["laws"][0]["other"] == law.other
 
 
+@thorough
 def test_the_curve_is_the_planted_law_within_its_band() -> None:
     """Up to a constant, which the unknown zero of a torque has as well."""
     _, _, _, more = learned(HOSE)
@@ -152,7 +153,14 @@ def test_nothing_is_learned_where_nothing_is_left(causes: tuple[str, ...]) -> No
     assert more.extend(robot) == found.extend(robot)
 
 
-@pytest.mark.parametrize("causes", [(), (FRICTION,), (HOSE,)], ids=["healthy", "explained", "left"])
+@pytest.mark.parametrize(
+    "causes",
+    [
+        pytest.param((), id="healthy"),
+        pytest.param((FRICTION,), id="explained", marks=thorough),
+        pytest.param((HOSE,), id="left"),
+    ],
+)
 def test_a_diagnosis_is_not_changed(causes: tuple[str, ...]) -> None:
     _, _, found, more = learned(*causes)
     for one in fields(Diagnosis):

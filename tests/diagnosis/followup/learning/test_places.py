@@ -75,6 +75,7 @@ def test_a_stop_is_learned_over_a_part_of_the_range() -> None:
         assert _error(learned(), _recorded(seed)) < 0.2 * _error(found(), _recorded(seed))
 
 
+@thorough
 def test_a_law_that_is_worse_at_some_place_is_dropped() -> None:
     settings = replace(USUAL, learn=replace(USUAL.learn, worse_place=0.0))  # of any law
     result = fj.learn(nominal(CASE.robot), _recorded(), found(), settings=settings).learned
