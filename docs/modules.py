@@ -12,9 +12,8 @@ PAGE = DOCS / "explained" / "architecture.md"
 BEGIN, END = "<!-- packages: written by make docs -->\n", "<!-- end of packages -->\n"
 FLOORS = (
     ("cli",),
-    ("fleet",),
     ("report",),
-    ("diagnosis", "design", "testing", "export"),
+    ("diagnosis", "design", "export"),
     ("simulation",),
     ("recording",),
     ("model",),

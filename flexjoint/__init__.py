@@ -48,6 +48,7 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.rigidbody.functions import rigid_body_functions
     from flexjoint.robot.robot import Robot, shipped_robots
     from flexjoint.robot.robot import load as load_robot
+    from flexjoint.simulation import testing
     from flexjoint.simulation.live import LiveSimulation
     from flexjoint.simulation.options import RunOptions
     from flexjoint.simulation.simulate import Simulation, simulate
@@ -100,6 +101,7 @@ __all__ = [
     "static_error",
     "stiffness_locus",
     "still",
+    "testing",
     "tomei",
     "verify",
     "view",
@@ -154,6 +156,7 @@ _PLACES = {  # name: module and what it is called there
     "static_error": ("model.statics.static_law", "static_error"),
     "stiffness_locus": ("design.stability_limits", "stiffness_locus"),
     "still": ("report.view", "still"),
+    "testing": ("simulation", "testing"),
     "tomei": ("design.tomei", "tomei"),
     "verify": ("design.verification", "verify"),
     "view": ("report.view", "view"),
@@ -165,6 +168,8 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module 'flexjoint' has no attribute {name!r}{_near(name)}")
     module, attribute = _PLACES[name]
+    if name == "testing":
+        return importlib.import_module(f"flexjoint.{module}.{attribute}")
     return getattr(importlib.import_module(f"flexjoint.{module}"), attribute)
 
 

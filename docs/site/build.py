@@ -122,11 +122,14 @@ def api() -> str:
     """Every public name with its docstring: shapes, units, errors."""
     import flexjoint
 
-    kinds: dict[str, list[str]] = {"Functions": [], "Classes": []}
+    kinds: dict[str, list[str]] = {"Functions": [], "Classes": [], "Modules": []}
     for name in flexjoint.__all__:
         thing = getattr(flexjoint, name)
         if inspect.isclass(thing):
             kinds["Classes"] += [f"```{{eval-rst}}\n.. autoclass:: flexjoint.{name}\n   :members:\n```\n"]
+        elif inspect.ismodule(thing):
+            rows = [f".. automodule:: {thing.__name__}", "   :members:", "   :imported-members:"]
+            kinds["Modules"] += [f"### flexjoint.{name}\n", "```{eval-rst}", *rows, "```\n"]
         else:
             kinds["Functions"] += [f"```{{eval-rst}}\n.. autofunction:: flexjoint.{name}\n```\n"]
     head = (

@@ -27,8 +27,8 @@ from support.robots.robot_files import MJCF, URDF, content
 from flexjoint.cli.simulation import theta_d
 from flexjoint.core.errors import RobotWarning
 from flexjoint.diagnosis.followup import experiment
+from flexjoint.diagnosis.followup.fleet import roster
 from flexjoint.diagnosis.result.known import known_of
-from flexjoint.fleet import roster
 from flexjoint.recording import table as recording
 from flexjoint.recording.clock import on_regular_clock
 from flexjoint.recording.importing import import_log

@@ -24,7 +24,7 @@ from flexjoint.model.statics.equilibrium import equilibrium
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import rollout
 from flexjoint.simulation.simulate import simulate
-from flexjoint.testing.energy import assert_energy_balance
+from flexjoint.simulation.testing.energy import assert_energy_balance
 
 MATRICES = (THROUGH, DIFFERENTIAL, ((1.0, 0.2), (-0.3, 1.4)))
 TORQUE = np.array([3.0, -4.0, 2.0])

@@ -104,7 +104,7 @@ def planted(folder: Path) -> Path:
 
 def watched(folder: Path) -> str:
     """Watch the fleet, and say what was found."""
-    from flexjoint.fleet.watch import watch
+    from flexjoint.report.fleet.watch import watch
 
     fleet = watch(folder / "logs", folder / "results", workers=1)
     lines = {line.period.machine: line for line in fleet.lines}

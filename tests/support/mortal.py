@@ -7,7 +7,7 @@ import signal
 import time
 from pathlib import Path
 
-from flexjoint.fleet.units import Unit
+from flexjoint.diagnosis.followup.fleet.units import Unit
 
 
 def perform(unit: Unit) -> dict[str, object]:

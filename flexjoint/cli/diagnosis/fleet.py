@@ -8,7 +8,7 @@ from rich.console import Console
 
 from flexjoint.core.messages import escaped
 from flexjoint.core.running.progress import silent
-from flexjoint.fleet.watch import FOUND, PAGE, TABLE, watch
+from flexjoint.report.fleet.watch import FOUND, PAGE, TABLE, watch
 from flexjoint.report.material import require
 from flexjoint.report.progress import Progress
 from flexjoint.report.terminal import show

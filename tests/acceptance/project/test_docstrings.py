@@ -12,7 +12,7 @@ import flexjoint as fj
 
 SHAPE = re.compile(r"\((?:\.\.\.|[A-Za-z0-9_ +*]+),[A-Za-z0-9_ +*,]*\)")  # (N,), (N, nq), (..., n)
 UNIT = re.compile(r"\[[^\]]+\]|\bSI\b|\b(?:rad|Hz|N m|seconds|s)\b")
-FUNCTIONS = [name for name in fj.__all__ if not inspect.isclass(getattr(fj, name))]
+FUNCTIONS = [name for name in fj.__all__ if inspect.isroutine(getattr(fj, name))]
 CLASSES = [name for name in fj.__all__ if inspect.isclass(getattr(fj, name))]
 WITHOUT_ERRORS = (  # nothing that they are given can be wrong
     "catalogue",

@@ -29,16 +29,16 @@ from flexjoint.diagnosis.comparison.compare import compare
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.followup.agreement.agreement import agreement
 from flexjoint.diagnosis.followup.checking.check import check
+from flexjoint.diagnosis.followup.fleet.assess import assessed
+from flexjoint.diagnosis.followup.fleet.campaign import Period, Reading
+from flexjoint.diagnosis.followup.fleet.fleet import Fleet
+from flexjoint.diagnosis.followup.fleet.roster import Entry, Event
+from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
+from flexjoint.diagnosis.followup.fleet.trends import DAY
+from flexjoint.diagnosis.followup.fleet.units import Store, perform, unit_of
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.result.schema import names, schema
-from flexjoint.fleet.assess import assessed
-from flexjoint.fleet.campaign import Period, Reading
-from flexjoint.fleet.fleet import Fleet
-from flexjoint.fleet.roster import Entry, Event
-from flexjoint.fleet.settings import FleetSettings
-from flexjoint.fleet.trends import DAY
-from flexjoint.fleet.units import Store, perform, unit_of
 from flexjoint.recording.table import Recording
 from flexjoint.recording.table import write as write_recording
 

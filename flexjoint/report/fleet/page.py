@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from flexjoint.diagnosis.followup.fleet import words
+from flexjoint.diagnosis.followup.fleet.assess import Line, Trend
+from flexjoint.diagnosis.followup.fleet.fleet import Fleet, day
+from flexjoint.diagnosis.followup.fleet.units import release
 from flexjoint.diagnosis.result.wording import clean
-from flexjoint.fleet import words
-from flexjoint.fleet.assess import Line, Trend
-from flexjoint.fleet.fleet import Fleet, day
-from flexjoint.fleet.units import release
 from flexjoint.report import plots
 
 DAY = 86_400.0  # [s]
@@ -55,9 +55,7 @@ class Detail:
 def html(fleet: Fleet) -> str:
     """One self-contained HTML document in the style of a diagnosis' report."""
     environment = Environment(
-        loader=ChoiceLoader(
-            [PackageLoader("flexjoint.fleet", "templates"), PackageLoader("flexjoint.report", "templates")]
-        ),
+        loader=PackageLoader("flexjoint.report", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -12,14 +12,14 @@ from pyarrow import parquet
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.files import all_or_none, check_folder, write_bytes, write_json, write_text
 from flexjoint.core.running.worker_pool import workers_of
-from flexjoint.fleet import page
-from flexjoint.fleet import roster as rosters
-from flexjoint.fleet.assess import assessed, of_types
-from flexjoint.fleet.campaign import campaign
-from flexjoint.fleet.fleet import Fleet
-from flexjoint.fleet.settings import FleetSettings
-from flexjoint.fleet.units import Store
-from flexjoint.fleet.workers import cluster, local
+from flexjoint.diagnosis.followup.fleet import roster as rosters
+from flexjoint.diagnosis.followup.fleet.assess import assessed, of_types
+from flexjoint.diagnosis.followup.fleet.campaign import campaign
+from flexjoint.diagnosis.followup.fleet.fleet import Fleet
+from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
+from flexjoint.diagnosis.followup.fleet.units import Store
+from flexjoint.diagnosis.followup.fleet.workers import cluster, local
+from flexjoint.report.fleet import page
 from flexjoint.robot.robot import load
 
 UNITS, TABLE, PAGE, FOUND = "units", "fleet.parquet", "fleet.html", "fleet.json"

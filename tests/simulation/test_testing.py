@@ -1,4 +1,4 @@
-"""flexjoint.testing: every check passes where it should, fails where it should, and says why."""
+"""flexjoint.simulation.testing: every check passes where it should, fails where it should, and says why."""
 
 from __future__ import annotations
 

@@ -13,10 +13,10 @@ import pyarrow as pa
 
 from flexjoint.core.text import Block, Table, plain
 from flexjoint.core.text import Line as TextLine
+from flexjoint.diagnosis.followup.fleet.assess import Line, Trend
+from flexjoint.diagnosis.followup.fleet.campaign import Period, Reading
+from flexjoint.diagnosis.followup.fleet.roster import Event
 from flexjoint.diagnosis.result.wording import clean
-from flexjoint.fleet.assess import Line, Trend
-from flexjoint.fleet.campaign import Period, Reading
-from flexjoint.fleet.roster import Event
 from flexjoint.robot.robot import Robot
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from flexjoint.core.errors import unknown
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.simulation.sensors import true_signals
+from flexjoint.simulation.testing.golden import UNITS
 from flexjoint.simulation.trajectory import Trajectory
-from flexjoint.testing.golden import UNITS
 
 KINDS: Mapping[str, str] = {"position": "q", "speed": "dq", "torque": "tau_m", "spring torque": "tau_t"}
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from flexjoint.fleet.roster import Entry, Event, Roster
-from flexjoint.fleet.settings import FleetSettings
-from flexjoint.fleet.units import Store, Unit, unit_of
-from flexjoint.fleet.workers import Runner
+from flexjoint.diagnosis.followup.fleet.roster import Entry, Event, Roster
+from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
+from flexjoint.diagnosis.followup.fleet.units import Store, Unit, unit_of
+from flexjoint.diagnosis.followup.fleet.workers import Runner
 
 LIKELY = 0.5  # probability from which a diagnosis' cause is taken to be there
 

@@ -9,7 +9,7 @@ import pytest
 from support.pages import DOCS, blocks
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.fleet.roster import LIST, read
+from flexjoint.diagnosis.followup.fleet.roster import LIST, read
 
 
 def moment(*parts: int) -> float:

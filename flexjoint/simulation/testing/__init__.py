@@ -11,12 +11,12 @@ else. What cannot be checked as asked is a FlexJointError, not a failed check. d
 story.
 """
 
-from flexjoint.testing.differences import Difference, Tolerance, assert_golden, differences
-from flexjoint.testing.energy import EnergyBalance, assert_energy_balance, energy_balance
-from flexjoint.testing.golden import About, GoldenRun, golden_run, read_golden, record_golden
-from flexjoint.testing.limits import assert_limits
-from flexjoint.testing.repeat import assert_deterministic
-from flexjoint.testing.rest import assert_static_law
+from flexjoint.simulation.testing.differences import Difference, Tolerance, assert_golden, differences
+from flexjoint.simulation.testing.energy import EnergyBalance, assert_energy_balance, energy_balance
+from flexjoint.simulation.testing.golden import About, GoldenRun, golden_run, read_golden, record_golden
+from flexjoint.simulation.testing.limits import assert_limits
+from flexjoint.simulation.testing.repeat import assert_deterministic
+from flexjoint.simulation.testing.rest import assert_static_law
 
 __all__ = [
     "About",

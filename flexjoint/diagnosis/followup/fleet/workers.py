@@ -15,7 +15,7 @@ from multiprocessing import forkserver, get_context, resource_tracker
 from typing import Any
 
 from flexjoint.core.errors import FlexJointError, MissingExtraError
-from flexjoint.fleet.units import SCHEMA, Unit, perform, release
+from flexjoint.diagnosis.followup.fleet.units import SCHEMA, Unit, perform, release
 
 PATIENCE = "5s"  # for a scheduler to answer
 AHEAD = 2  # units a worker that are handed out ahead of time
@@ -88,7 +88,7 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes, which are killed where nobody waits for their results any more."""
     context = get_context("forkserver" if sys.platform == "linux" else "spawn")
     if sys.platform == "linux":  # a server imports what takes long once, and has no threads when it forks
-        context.set_forkserver_preload(["flexjoint.fleet.units"])
+        context.set_forkserver_preload(["flexjoint.diagnosis.followup.fleet.units"])
         resource_tracker.ensure_running()  # which the server starts, too, and unblocks signals with
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:

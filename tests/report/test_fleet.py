@@ -22,16 +22,17 @@ from support.diagnose_cases import ROBOTS, SENSORS, as_recording, nominal
 from support.thorough import thorough
 
 from flexjoint.core.errors import FlexJointError
-from flexjoint.fleet import campaign, watch, words
-from flexjoint.fleet.assess import assessed, of_types
-from flexjoint.fleet.campaign import Period, Reading
-from flexjoint.fleet.roster import Entry, Event
-from flexjoint.fleet.settings import FleetSettings
-from flexjoint.fleet.trends import DAY
-from flexjoint.fleet.units import Store, Unit, perform, release, unit_of
-from flexjoint.fleet.workers import cluster, local
+from flexjoint.diagnosis.followup.fleet import campaign, words, workers
+from flexjoint.diagnosis.followup.fleet.assess import assessed, of_types
+from flexjoint.diagnosis.followup.fleet.campaign import Period, Reading
+from flexjoint.diagnosis.followup.fleet.roster import Entry, Event
+from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
+from flexjoint.diagnosis.followup.fleet.trends import DAY
+from flexjoint.diagnosis.followup.fleet.units import Store, Unit, perform, release, unit_of
+from flexjoint.diagnosis.followup.fleet.workers import cluster, local
 from flexjoint.recording.table import Recording
 from flexjoint.recording.table import write as write_recording
+from flexjoint.report.fleet import watch
 
 LEVER = ROBOTS / "lever.yaml"
 SETTINGS = FleetSettings()
@@ -154,14 +155,14 @@ def test_a_unit_that_a_broken_pool_refuses_is_not_lost(
             future.set_result(function(unit))
             return future
 
-    monkeypatch.setattr("flexjoint.fleet.workers._pool", lambda _workers: Breaking())
-    monkeypatch.setattr("flexjoint.fleet.workers._alone", lambda unit, _restarts: {"key": unit.key})
-    monkeypatch.setattr("flexjoint.fleet.workers.perform", lambda unit: {"key": unit.key})
+    monkeypatch.setattr(workers, "_pool", lambda _workers: Breaking())
+    monkeypatch.setattr(workers, "_alone", lambda unit, _restarts: {"key": unit.key})
+    monkeypatch.setattr(workers, "perform", lambda unit: {"key": unit.key})
     assert set(outcome(local(2, 1)(units(tmp_path)))) == {"k0", "k1", "k2", "k3", "k4"}
 
 
 def test_a_killed_worker_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flexjoint.fleet.workers.perform", mortal.perform)
+    monkeypatch.setattr(workers, "perform", mortal.perform)
     done = outcome(local(2, 1)(units(tmp_path)))
     assert done == {"k0": False, "k1": False, "k2": False, "k3": True, "k4": False}
 
@@ -181,7 +182,7 @@ def test_workers_are_killed_where_nobody_waits_for_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As where a result cannot be written: who stops asking waits for no unit that is under way."""
-    monkeypatch.setattr("flexjoint.fleet.workers.perform", mortal.perform)
+    monkeypatch.setattr(workers, "perform", mortal.perform)
     kinds = ("never", "slow", "slow", "slow")
     results = local(2, 1)([Unit(f"k{k}", "check", str(tmp_path), kind) for k, kind in enumerate(kinds)])
     assert next(results)["key"] == "k0"
@@ -196,7 +197,7 @@ def test_a_dask_cluster_does_the_same_units(tmp_path: Path, monkeypatch: pytest.
     """Two workers in processes of their own, of which one is killed in the middle; its nanny starts
     another."""
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("flexjoint.fleet.workers.perform", mortal.perform)
+    monkeypatch.setattr(workers, "perform", mortal.perform)
     ours = [unit for unit in units(tmp_path) if unit.robot != "always"]
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"

@@ -12,8 +12,8 @@ from multiprocessing import get_context
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
+from flexjoint.simulation.testing.golden import GoldenRun
 from flexjoint.simulation.trajectory import Trajectory
-from flexjoint.testing.golden import GoldenRun
 
 Result = Trajectory | GoldenRun | Mapping[str, np.ndarray]
 

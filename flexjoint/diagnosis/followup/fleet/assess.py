@@ -17,12 +17,12 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binom, false_discovery_control
 
+from flexjoint.diagnosis.followup.fleet import words
+from flexjoint.diagnosis.followup.fleet.campaign import Key, Period, Reading
+from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
+from flexjoint.diagnosis.followup.fleet.trends import Change, change
 from flexjoint.diagnosis.result.wording import percent
 from flexjoint.diagnosis.settings import USUAL
-from flexjoint.fleet import words
-from flexjoint.fleet.campaign import Key, Period, Reading
-from flexjoint.fleet.settings import FleetSettings
-from flexjoint.fleet.trends import Change, change
 from flexjoint.robot.robot import Robot
 
 State = Literal["needs", "again", "unusable", "green"]

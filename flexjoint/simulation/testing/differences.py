@@ -11,7 +11,7 @@ import numpy as np
 
 from flexjoint.core.errors import FlexJointError, unknown
 from flexjoint.simulation.simulate import Simulation
-from flexjoint.testing.golden import UNITS, About, GoldenRun, read_golden, record_golden
+from flexjoint.simulation.testing.golden import UNITS, About, GoldenRun, read_golden, record_golden
 
 RECORD = "FLEXJOINT_GOLDEN"  # environment variable; "record" writes golden files anew
 ROWS = 12  # of the table of the worst

@@ -1,0 +1,1 @@
+"""Many robots over time on one page: who needs somebody, and why."""
