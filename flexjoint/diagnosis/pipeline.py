@@ -48,8 +48,6 @@ from flexjoint.robot.robot import Robot, expect
 NO_EFFECT = "no effect in the catalogue explains it"
 BEATS = "beats the sensors' noise and the model's own tolerances"
 SEARCHED = 0.92  # share of the progress that the searches are
-SEARCH_TIME = 0.7  # share of the time allowed after which the search ends
-LOOKING_TIME = 0.9  # and all else that looks for something: what was found is then judged, which is not cut
 ROBUST_LATE = "the time allowed was over before the robust search, where that is needed, was done"
 
 Progress = Callable[[float, str], None]
@@ -134,7 +132,7 @@ class _Task:
     def part(self, k: int, count: int) -> _Task:
         """The task for one of `count` recordings, with its share of the progress and of the time."""
         share = SEARCHED / count
-        budget = self.budget.part(SEARCH_TIME * (k + 1) / count)
+        budget = self.budget.part(self.settings.search.time * (k + 1) / count)
         return replace(self, report=_part(self.report, k * share, share), budget=budget)
 
 
@@ -209,7 +207,7 @@ def _combined(
 def _simulated(
     case: Case, robot: Robot, recording: Recording, problem: Problem, task: _Task
 ) -> SimulatedCase:
-    budget = task.budget.part(LOOKING_TIME)
+    budget = task.budget.part(task.settings.search.looking_time)
     return SimulatedCase(case.selection, case.trace, robot, recording, problem, budget=budget).simulated()
 
 
@@ -222,7 +220,7 @@ def _searched_robustly(
 ) -> tuple[SimulatedCase, tuple[str, ...]]:
     """The case with causes that the simulation confirms, that of every recording, where only implausible
     nominal numbers would explain an error of the first, and notes."""
-    budget = task.budget.part(LOOKING_TIME)
+    budget = task.budget.part(task.settings.search.looking_time)
     if budget.spent:
         return case, (ROBUST_LATE,)
     if case.measured is None or not _undecided(case.selection):
@@ -259,7 +257,7 @@ def _joint_by_joint(
     trusted = not isinstance(case.problem, JointwiseProblem)
     trace: tuple[Step, ...] = ()
     for stage in (FRICTION, JOINT_SEARCH) if trusted else (FRICTION,):
-        before, budget = selection, task.budget.part(LOOKING_TIME)
+        before, budget = selection, task.budget.part(task.settings.search.looking_time)
         selection = joint_by_joint(selection, candidates, stage, task.workers, budget, report)
         trace += selection.trace if selection.best is not before.best else ()
     found = replace(case, selection=selection, trace=(*case.trace, *trace))

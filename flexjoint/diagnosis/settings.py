@@ -1,4 +1,4 @@
-"""Every number that decides in a diagnosis, with its unit, its reason and its evidence.
+"""Every number that decides in a diagnosis and what follows it, with its unit, its reason and its evidence.
 
 One frozen class a stage, all of them in `Settings`; `diagnose(..., settings=...)` takes another set:
 
@@ -127,6 +127,21 @@ class DataSettings(Stage):
     )
     slope_gear: float = number(
         1.05, "factor", "within which a slope is the gear ratio: encoders are exact", "judgement"
+    )
+    slope_unit: float = number(
+        1.03, "factor", "within which a slope is that of a unit: a spring makes it inexact", "judgement"
+    )
+    unit_joints: int = number(
+        2, "torques", "in one unit, from which all of the channel are in it", "judgement"
+    )
+    round_cost: float = number(
+        1.5,
+        "times the variance left",
+        "up to which a zero at a whole eighth of a turn is as good",
+        "judgement",
+    )
+    changed: float = number(
+        0.05, "share of a torque's variance", "from which a repair has changed it", "judgement"
     )
     deflected: float = number(
         0.5, "rad", "by which a motor's travel must exceed its link's to be no deflection", "judgement"
@@ -378,6 +393,20 @@ class RegressionSettings(Stage):
 class SearchSettings(Stage):
     """Search: the price of a cause, what else it must pass, and which candidates are tried."""
 
+    # --- the time allowed (`Budget`)
+    time: float = number(0.7, "share of the time allowed", "after which a search ends", "judgement")
+    trying_time: float = number(
+        0.8,
+        "share of a search's time",
+        "after which no further set is tried: the rest is for judging those that were",
+        "judgement",
+    )
+    looking_time: float = number(
+        0.9,
+        "share of the time allowed",
+        "after which nothing else is looked for: what was found is then judged, which is not cut",
+        "judgement",
+    )
     # --- prices
     price: float = number(
         16.0,
@@ -786,6 +815,15 @@ class VerdictSettings(Stage):
         3.0, "torque tolerances", "by which a balance must be off to count in that share", "judgement"
     )
     above_noise: float = number(1.5, "noise deviations", "below which a residual counts as none", "judgement")
+    telling: float = number(
+        0.5,
+        "share of what is left of a joint (RMS)",
+        "that a smooth law of one signal must remove to be a lead to follow",
+        "judgement",
+    )
+    correlated: float = number(
+        0.95, "correlation", "of two numbers' errors, from which it is said", "judgement"
+    )
     oscillation: float = number(
         0.1,
         "share of a residual",
@@ -1163,6 +1201,53 @@ class LearnSettings(Stage):
 
 
 @dataclass(frozen=True)
+class PlanSettings(Stage):
+    """Plan: the next experiment. What is usual serves where the robot's files say nothing."""
+
+    seconds: float = number(16.0, "s", "of motion", "judgement")
+    reach: float = number(
+        0.6,
+        "rad",
+        "to either side of the centre: nothing is known of what stands around the robot",
+        "judgement",
+    )
+    speed: float = number(2.0, "rad/s", "where the URDF has no limit", "judgement")
+    margin: float = number(
+        0.8, "share of speed and torque limits", "that a reference asks for: tracking overshoots", "judgement"
+    )
+    drawn: int = number(6, "motions", "that are drawn at random and tried", "judgement")
+    changed: int = number(4, "motions", "that are tried after these, each a change of the best", "judgement")
+    saturated: float = number(
+        100.0,
+        "times the energy that makes an effect seen",
+        "beyond which more of it counts nothing for a motion",
+        "judgement",
+    )
+    noise_draws: int = number(2, "draws of the sensors' noise", "of which the worst one counts", "judgement")
+    most_starts: int = number(
+        6, "starts", "from which a rival is fitted: those that promise most", "judgement"
+    )
+    sample_rate: float = number(500.0, "Hz", "at most, of the recording that is foretold", "judgement")
+    usual_torque: float = number(0.25, "share of a torque limit", "that is usual in a motion", "judgement")
+    usual_limit: float = number(100.0, "N m", "of a joint without a torque limit", "judgement")
+    usual_speed: float = number(1.0, "rad/s", "at which an effect is to matter", "judgement")
+    usual_travel: float = number(0.5, "rad", "over which it is to matter", "judgement")
+    usual_delay: float = number(2e-3, "s", "that would matter", "judgement")
+    encoder_noise: float = number(2e-5, "rad", "of an encoder of which nothing is known", "judgement")
+    speed_noise: float = number(5e-3, "rad/s", "of a velocity of which nothing is known", "judgement")
+    torque_noise: float = number(
+        1e-3, "share of a torque limit", "noise of a torque sensor of which nothing is known", "judgement"
+    )
+    payload_torque: float = number(
+        0.25, "share of a torque limit", "that a proposed payload may take at rest", "judgement"
+    )
+    payload_least: float = number(0.05, "kg", "of a payload that is proposed", "judgement")
+    payload_arm: float = number(
+        0.1, "m", "from the joint to it where the link's own centre of mass gives no place", "judgement"
+    )
+
+
+@dataclass(frozen=True)
 class Settings:
     """All numbers that decide in a diagnosis, stage by stage."""
 
@@ -1177,6 +1262,7 @@ class Settings:
     agreement: AgreementSettings = AgreementSettings()
     check: CheckSettings = CheckSettings()
     learn: LearnSettings = LearnSettings()
+    plan: PlanSettings = PlanSettings()
 
     def stages(self) -> Iterator[tuple[str, Stage]]:
         """Every stage with its name, in the order in which they run."""

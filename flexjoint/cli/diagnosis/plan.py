@@ -19,7 +19,7 @@ from flexjoint.core.running.progress import silent
 from flexjoint.core.units import of_joint
 from flexjoint.diagnosis.followup import experiment as planning
 from flexjoint.diagnosis.followup.experiment import DECISIVE, Outlook, Plan
-from flexjoint.diagnosis.followup.experiment.limits import REACH, SECONDS
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.recording import table as recording
 from flexjoint.report.progress import Progress
 from flexjoint.robot.robot import Robot
@@ -39,8 +39,8 @@ def run(arguments: argparse.Namespace) -> None:
     loaded = options.load_chosen(arguments)
     if loaded.floating:
         raise FlexJointError(f"{loaded.name} has a floating base; motions are planned for a fixed one only")
-    seconds = SECONDS if arguments.seconds is None else arguments.seconds
-    reach = REACH if arguments.reach is None else arguments.reach
+    seconds = USUAL.plan.seconds if arguments.seconds is None else arguments.seconds
+    reach = USUAL.plan.reach if arguments.reach is None else arguments.reach
     limits = planning.limits_of(loaded, seconds, reach, arguments.speed)
     if arguments.diagnosis is None:
         question = planning.without_diagnosis(loaded)

@@ -8,12 +8,12 @@ from dataclasses import replace
 from flexjoint.diagnosis.data.change import Key, Source
 from flexjoint.diagnosis.data.travel import slope
 from flexjoint.diagnosis.result.values import Column, DataFinding
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.recording.table import Recording
 
 OF_SIDE = {"q": ("q", "q_ref", "dq"), "theta": ("theta", "theta_ref", "dtheta", "dtheta_ref")}
 POSITIONS = ("q", "q_ref", "theta", "theta_ref")
 MOVING = (*OF_SIDE["q"], *OF_SIDE["theta"])
-SAME = 1.5  # factor within which two columns of a side have one unit
 
 
 def repaired(recording: Recording, findings: Iterable[DataFinding]) -> Recording:
@@ -44,7 +44,7 @@ def of_side(
             continue
         same = channel == side
         if not same and (found := slope(recording, joint, channel, side)) is not None:
-            same = 1.0 / SAME < found.slope < SAME
+            same = 1.0 / USUAL.data.slope_one < found.slope < USUAL.data.slope_one
         if same:
             shift = offset if channel in POSITIONS else 0.0
             out.append(Column(f"{channel}.{joint}", f"{channel}.{joint}", scale, shift))

@@ -13,13 +13,13 @@ from flexjoint.core.errors import FlexJointError, RobotError, unknown
 from flexjoint.core.files import read_text
 from flexjoint.core.limits import DIAGNOSIS_FILE
 from flexjoint.diagnosis.result.values import Remaining, Result, to_json
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned, catalogue
 from flexjoint.robot.robot import Robot, load
 
 Key = tuple[str, str | None]
 Made = TypeVar("Made")
 ROBUST = "robust search"  # the stage of the steps that it took
-LIKELY = 0.5  # probability from which a cause is taken to be there
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _of_diagnosis(content: Mapping[str, Any], robot: Robot, source: str) -> Know
         }
         own = [replace(e, std=std) for e in planned_of(robot, entry)]
         causes += own
-        if entry["probability"] >= LIKELY:
+        if entry["probability"] >= USUAL.verdict.likely:
             named |= {e.key for e in own}
     remaining = {entry["joint"]: Remaining(**entry) for entry in content.get("remaining", [])}
     for joint in remaining:

@@ -25,7 +25,6 @@ from flexjoint.diagnosis.result.wording import (
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Kind
 
-TIGHT = 0.95  # correlation of two errors, from which it is said
 MOST_PAIRS = 3  # of them that are named
 DATA = "Are the data right?"
 REPAIR = (
@@ -144,7 +143,7 @@ def numbers(diagnosis: Result) -> tuple[str, ...]:
             f"The errors of {_parameter(one)} and {_parameter(other)} are correlated by {size:.2f}: this"
             " recording determines them only together"
         )
-        for one, other, size in estimation.tight(TIGHT)[:MOST_PAIRS]
+        for one, other, size in estimation.tight(USUAL.verdict.correlated)[:MOST_PAIRS]
     ]
     if estimation.at_bounds:
         names = listed(f"{_parameter(name)} ({bound})" for name, bound in estimation.at_bounds)
@@ -288,7 +287,7 @@ def _left(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
 def _of_joint(left: Remaining, joints: Joints, verb: str, opening: str = "") -> str:
     share = percent(ratio(left.after, left.before))
     # an error of a spring moves torque from the motor to the link: their sum was right before
-    wrong = left.before > torque.ABOVE_NOISE * left.noise
+    wrong = left.before > USUAL.verdict.above_noise * left.noise
     of = f" of {joints.torque(left.joint, left.before)}" if wrong else ""
     text = f"{opening}{joints.torque(left.joint, left.after)}{of} {verb} {clean(left.joint)}"
     text += f" ({share})" if wrong else ""

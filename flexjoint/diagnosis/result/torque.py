@@ -8,10 +8,8 @@ from dataclasses import dataclass
 
 from flexjoint.diagnosis.result.values import Finding, Remaining, Result
 from flexjoint.diagnosis.result.wording import Joints, clean, less, number, percent, ratio
+from flexjoint.diagnosis.settings import USUAL
 
-# of what is left of a joint: a smooth law of one signal that removes less of its RMS is no lead to follow
-TELLING = 0.5
-ABOVE_NOISE = 1.5  # times the sensors' noise, up to which a leftover shows nothing else
 BALANCES = {
     "motor": "torque error",
     "link": "torque error of the link",
@@ -91,8 +89,11 @@ def most_left(remaining: Sequence[Remaining]) -> Remaining | None:
 
 def shaped(remaining: Sequence[Remaining]) -> Remaining | None:
     """The joint of which a smooth law of one signal would still remove most, where that is a good part."""
+    limits = USUAL.verdict
     telling = [
-        r for r in remaining if r.structured >= TELLING * r.after > 0.0 and r.after > ABOVE_NOISE * r.noise
+        r
+        for r in remaining
+        if r.structured >= limits.telling * r.after > 0.0 and r.after > limits.above_noise * r.noise
     ]
     return max(telling, key=lambda r: _finite(ratio(r.structured, r.torque)), default=None)
 

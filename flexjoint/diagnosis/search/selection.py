@@ -41,6 +41,7 @@ from flexjoint.diagnosis.search.trials import (
     settled,
     sought_again,
 )
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Effect, Planned, Site, catalogue
 
 STAGE = "search"  # in the trace
@@ -50,8 +51,6 @@ LEFT_OUT = (
     "the time allowed was over during the search: further causes were not looked for, and not every cause was"
     " compared with its rivals"
 )
-
-TRIED = 0.8  # share of a search's time after which no further set is tried: the rest is for judging those
 
 Progress = Callable[[float, str], None]
 Key = tuple[str, str | None]  # of an effect on a joint
@@ -79,11 +78,12 @@ class Search:
     scanner: Scanner
     pool: WorkerPool
     budget: Budget = UNLIMITED
+    trying: float = USUAL.search.trying_time  # share of the time after which no further set is tried
     cut: list[str] = field(default_factory=list)
 
     def goes_on(self) -> bool:
         """Whether there is time for another set; asked where there is one to try."""
-        if self.budget.part(TRIED).spent:
+        if self.budget.part(self.trying).spent:
             self.stopped()
         return not self.cut
 
@@ -117,7 +117,8 @@ def select(
         if not budget.limited:
             return _select(problem, Search(scanner, processes), report, start)
         with within(budget):
-            return _select(problem, Search(scanner, processes, budget), report, start)
+            trying = problem.settings.search.trying_time
+            return _select(problem, Search(scanner, processes, budget, trying), report, start)
 
 
 @dataclass
@@ -237,7 +238,7 @@ def _larger(best: Fit, both: Sequence[tuple[Scored, ...]], bare: Fit | None, sea
     """`larger_sets`, of the most promising ones as many as the time allows."""
     if not search.budget.limited:
         return larger_sets(best, both, bare, search.pool, here())
-    larger = larger_sets(best, both, bare, search.pool, search.budget.part(TRIED))
+    larger = larger_sets(best, both, bare, search.pool, search.budget.part(search.trying))
     search.goes_on()  # says it where the time for them is over
     return larger
 

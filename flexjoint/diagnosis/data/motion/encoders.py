@@ -17,7 +17,6 @@ from flexjoint.robot.robot import Joint, Robot
 UNITS = {"degrees": 180.0 / math.pi, "turns": 0.5 / math.pi, "mrad": 1000.0}
 TORQUES = ("tau_t", "tau_motor", "tau_m")  # that tell what a joint carries, the best one first
 RARE = (0.5, 99.5)  # percentiles beyond which samples are left out
-UNIT = 1.03  # factor within which a slope is that of a unit: a spring makes it inexact
 
 
 def differences(robot: Robot, recording: Recording, settings: DataSettings) -> Iterator[DataFinding]:
@@ -67,7 +66,7 @@ def _scale(joint: Joint, recording: Recording, settings: DataSettings) -> DataFi
         return DataFinding("gear", name, text, of_side(recording, name, "theta", sign / gear))
     for unit, factor in UNITS.items():
         for side, ratio in (("theta", factor), ("q", 1.0 / factor)):
-            if abs(math.log(size / ratio)) < math.log(UNIT):
+            if abs(math.log(size / ratio)) < math.log(settings.slope_unit):
                 text = f"{told}: {side}.{name} looks like {unit}"
                 scale = (sign if side == "theta" else 1.0) / factor
                 return DataFinding("unit", name, text, of_side(recording, name, side, scale))

@@ -18,7 +18,6 @@ from flexjoint.diagnosis.data.torques.follows import Balance, cost
 from flexjoint.diagnosis.data.torques.rivals import explained_otherwise
 
 MOST = 4  # changes of the motion that are looked for, one after the other
-CHANGED = 0.05  # of a torque's variance, from which a row is changed
 PLAIN = (  # of changes that are as good the first is named
     gear.GEAR,
     turned.TORQUE,
@@ -74,7 +73,7 @@ def found_errors(balance: Balance) -> tuple[Found, ...]:
     if not changes:
         return ()
     final = balance.misfits(View.of(changes))
-    changed = np.abs(given - final) > CHANGED
+    changed = np.abs(given - final) > limits.changed
     if np.any(final[changed] > limits.right**2) or np.any(final > np.maximum(2.0 * given, limits.right**2)):
         return ()
     if len(changes) > 1 and explained_otherwise(balance, View(), given, final):

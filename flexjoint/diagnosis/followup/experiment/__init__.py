@@ -15,7 +15,7 @@ import numpy as np
 from flexjoint.core.errors import SimulationError
 from flexjoint.core.running.worker_pool import one_thread
 from flexjoint.diagnosis.followup.experiment import evidence
-from flexjoint.diagnosis.followup.experiment.evidence import DETECTABLE, Evidence, Key
+from flexjoint.diagnosis.followup.experiment.evidence import Evidence, Key
 from flexjoint.diagnosis.followup.experiment.limits import Limits, limits_of
 from flexjoint.diagnosis.followup.experiment.proposals import Proposal, proposals
 from flexjoint.diagnosis.followup.experiment.question import (
@@ -27,13 +27,14 @@ from flexjoint.diagnosis.followup.experiment.question import (
 )
 from flexjoint.diagnosis.followup.experiment.search import best_motion, within_limits
 from flexjoint.diagnosis.result import Diagnosis
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot, expect
 from flexjoint.simulation.simulate import Simulation
 
-DECISIVE = 6.0  # log odds (400 : 1) from which a diagnosis no longer calls two causes tied
-NOISE_DRAWS = 2  # of which the worse one is reported
+# log odds, from which a diagnosis no longer calls two causes tied: chi-square is twice their logarithm
+DECISIVE = 0.5 * USUAL.verdict.tie
 
 Progress = Callable[[float, str], None]
 
@@ -111,8 +112,8 @@ def plan(
             outlook = Outlook(tie, forward, backward, more)
         outlooks.append(outlook)
     report(1.0, "done")
-    shown = tuple(key for key, energy in motion.shown.items() if energy >= DETECTABLE)
-    hidden = tuple(key for key, energy in motion.shown.items() if energy < DETECTABLE)
+    shown = tuple(key for key, energy in motion.shown.items() if energy >= USUAL.verdict.detectable)
+    hidden = tuple(key for key, energy in motion.shown.items() if energy < USUAL.verdict.detectable)
     return Plan(reference, limits, tuple(outlooks), _peaks(robot, limits, runs), shown, hidden)
 
 
@@ -126,7 +127,7 @@ def _least(
     seed: int,
 ) -> float:
     """Log odds of a simulated run, the least over some draws of the sensors' noise."""
-    draws = (evidence.recorded(run, question.sensors, seed + k) for k in range(NOISE_DRAWS))
+    draws = (evidence.recorded(run, question.sensors, seed + k) for k in range(USUAL.plan.noise_draws))
     return min(Evidence(robot, draw).odds(beside, truth, rival).log for draw in draws)
 
 

@@ -15,19 +15,12 @@ from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import Candidate, Trace, enumerate_candidates, traces
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.table import MEASURED, Recording, make
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.simulate import Simulation, simulate
-
-SAMPLE_RATE = 500.0  # Hz, at most
-DETECTABLE = 20.0  # energy above the noise that shows an effect
-SHARE = 0.2  # of a usual torque: an effect that must be larger to be seen is not excited
-LOAD_SHARE = 0.25  # of a joint's torque limit that is a usual torque
-USUAL_LIMIT = 100.0  # N m, of a joint without a torque limit
-USUAL_SPEED, USUAL_TRAVEL, USUAL_DELAY = 1.0, 0.5, 2e-3  # rad/s, rad, s
-MOST_STARTS = 6  # fits of a rival, from its most promising starts
 
 Key = tuple[str, str | None]
 
@@ -61,7 +54,7 @@ def simulated(robot: Robot, effects: Sequence[Planned], reference: Recording) ->
     """The robot with these effects along a reference, under its own controller, without noise."""
     model = FlexibleJointModel(robot.extended(effects))
     rate = robot.rates.physics
-    stride = max(1, int(np.ceil(rate / SAMPLE_RATE)))
+    stride = max(1, int(np.ceil(rate / USUAL.plan.sample_rate)))
     while rate.is_integer() and rate % stride:  # a whole number of samples a second, where there is one
         stride += 1
     return simulate(model, reference, sample_rate=rate / stride)
@@ -125,14 +118,15 @@ class Evidence:
                 amplitude, removed = _solved(level, trace, y)
                 found.append((removed, candidate.planned(trace.values(amplitude))))
         found.sort(key=lambda pair: -pair[0])
-        return [[planned] for _, planned in found[:MOST_STARTS]]
+        return [[planned] for _, planned in found[: USUAL.plan.most_starts]]
 
     def _of(self, keys: Sequence[Key]) -> list[Candidate]:
         return [c for c in self.candidates if c.key in keys]
 
     def shown(self) -> dict[Key, float]:
         """Every effect of the catalogue that the sensors could see, on every joint: energy that it leaves
-        beyond the tolerances at a size that matters (`material`). Below DETECTABLE it is not excited."""
+        beyond the tolerances at a size that matters (`material`). Below
+        `VerdictSettings.detectable` it is not excited."""
         y = self.problem.residual([])
         out: dict[Key, float] = {}
         for candidate in self.candidates:
@@ -157,24 +151,25 @@ class Evidence:
 
 
 def material(robot: Robot, joint: str | None, unit: str) -> float:
-    """The size of a parameter that anybody would want to know of: SHARE of a usual torque of the joint, at
-    usual speeds and travels. It does not depend on a motion, so that better motions show more."""
+    """The size of a parameter that anybody would want to know of: a share of a usual torque of the joint,
+    at usual speeds and travels. It does not depend on a motion, so that better motions show more."""
+    plan, share = USUAL.plan, USUAL.verdict.seen_share
     if joint is None:
-        return SHARE
+        return share
     own = robot.joint(joint)
-    limit = own.torque_limit if np.isfinite(own.torque_limit) else USUAL_LIMIT
-    torque = SHARE * LOAD_SHARE * limit
-    stiffness = own.drive.K if np.isfinite(own.drive.K) else LOAD_SHARE * limit / USUAL_TRAVEL
+    load = plan.usual_torque * (own.torque_limit if np.isfinite(own.torque_limit) else plan.usual_limit)
+    torque = share * load
+    stiffness = own.drive.K if np.isfinite(own.drive.K) else load / plan.usual_travel
     by_unit = {
         "N m": torque,
-        "N m s/rad": torque / USUAL_SPEED,
-        "N m s^2/rad^2": torque / USUAL_SPEED**2,
-        "N m/rad": torque / USUAL_TRAVEL,
-        "N m/rad^3": torque * (stiffness / (LOAD_SHARE * limit)) ** 3,
+        "N m s/rad": torque / plan.usual_speed,
+        "N m s^2/rad^2": torque / plan.usual_speed**2,
+        "N m/rad": torque / plan.usual_travel,
+        "N m/rad^3": torque * (stiffness / load) ** 3,
         "rad": torque / stiffness,
-        "s": USUAL_DELAY,
+        "s": plan.usual_delay,
     }
-    return float(by_unit.get(unit, SHARE))
+    return float(by_unit.get(unit, share))
 
 
 def pair(first: Odds, second: Odds) -> float:

@@ -10,14 +10,11 @@ import numpy as np
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.limits import PLANNING
 from flexjoint.core.units import of_joint
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
-SECONDS = 16.0  # of motion
-REACH = 0.6  # rad, to either side of the centre: nothing is known of what stands around the robot
-SPEED = 2.0  # rad/s, where the URDF has no limit
 UNLIMITED = 1e6  # a limit of the URDF from which there is none
-MARGIN = 0.8  # share of speed and torque limits that a reference asks for: tracking overshoots
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,10 @@ class Limits:
 
 
 def limits_of(
-    robot: Robot, seconds: float = SECONDS, reach: float = REACH, speed: float | None = None
+    robot: Robot,
+    seconds: float = USUAL.plan.seconds,
+    reach: float = USUAL.plan.reach,
+    speed: float | None = None,
 ) -> Limits:
     """Limits of the robot's URDF and YAML, narrowed to `reach` [rad] about the centre and to `speed` [rad/s].
 
@@ -76,7 +76,7 @@ def limits_of(
                 f" {high:g}; change one of them"
             )
         fastest = float(robot.model.velocityLimit[joint.idx_v])
-        fastest = fastest if 0.0 < fastest < UNLIMITED else SPEED
+        fastest = fastest if 0.0 < fastest < UNLIMITED else USUAL.plan.speed
         rows.append(
             (
                 max(low, centre - reach),

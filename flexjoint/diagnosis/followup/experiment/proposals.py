@@ -11,14 +11,12 @@ from flexjoint.diagnosis.followup.experiment import evidence
 from flexjoint.diagnosis.followup.experiment.evidence import Evidence, Sensors
 from flexjoint.diagnosis.followup.experiment.limits import Limits, exceeded
 from flexjoint.diagnosis.followup.experiment.question import Question, Tie, usual_noise
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned, effect
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
 SENSORS = ("q", "theta", "tau_t")
-LOAD_SHARE = 0.25  # of the torque limits that a payload at the end may take at rest
-LEAST_MASS = 0.05  # kg, below which nothing is proposed
-ARM = 0.1  # m, from the joint to the payload where the link's own centre of mass does not give it
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,9 @@ def _known_payload(robot: Robot) -> Planned | None:
     last = robot.joints[-1]
     inertia = robot.model.inertias[last.pin_id]
     position = (
-        1.5 * np.array(inertia.lever) if np.linalg.norm(inertia.lever) > 0.01 else np.array([0, 0, ARM])
+        1.5 * np.array(inertia.lever)
+        if np.linalg.norm(inertia.lever) > 0.01
+        else np.array([0, 0, USUAL.plan.payload_arm])
     )
     gravity = float(np.linalg.norm(robot.gravity))
     reach = float(np.linalg.norm(position))
@@ -108,9 +108,9 @@ def _known_payload(robot: Robot) -> Planned | None:
             reach += float(np.linalg.norm(robot.model.jointPlacements[below].translation))
             below = robot.model.parents[below]
         if np.isfinite(joint.torque_limit) and gravity > 0.0:
-            heaviest = min(heaviest, LOAD_SHARE * joint.torque_limit / (gravity * reach))
+            heaviest = min(heaviest, USUAL.plan.payload_torque * joint.torque_limit / (gravity * reach))
     mass = float(f"{min(heaviest, float(inertia.mass)):.2g}")
-    if not np.isfinite(mass) or mass < LEAST_MASS:
+    if not np.isfinite(mass) or mass < USUAL.plan.payload_least:
         return None
     place = tuple(float(f"{x:.3g}") for x in position)
     return effect("payload", last.name, nominal=True, mass=mass, position=place)

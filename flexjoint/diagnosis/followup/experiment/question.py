@@ -13,14 +13,10 @@ from flexjoint.core.limits import DIAGNOSIS_FILE, RECORDING
 from flexjoint.diagnosis.followup.experiment.evidence import Key, Sensors
 from flexjoint.diagnosis.result import Diagnosis, to_json
 from flexjoint.diagnosis.result.known import keys_of, parsed, planned_of
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned
 from flexjoint.recording.table import MEASURED
 from flexjoint.robot.robot import Robot
-
-ENCODER_NOISE = 2e-5  # rad
-SPEED_NOISE = 5e-3  # rad/s
-TORQUE_NOISE = 1e-3  # of the joint's torque limit
-UNLIMITED_TORQUE = 100.0  # N m, where a joint has no limit to take a share of
 
 
 @dataclass(frozen=True)
@@ -121,13 +117,13 @@ def _every_sensor(robot: Robot) -> list[tuple[str, str]]:
 
 def usual_noise(robot: Robot, channel: str, joint: str) -> float:
     """Standard deviation of a sensor of which nothing is known: usual values, or its resolution."""
-    own = robot.joint(joint)
-    limit = own.torque_limit if own.torque_limit < 1e9 else UNLIMITED_TORQUE
+    own, plan = robot.joint(joint), USUAL.plan
+    limit = own.torque_limit if own.torque_limit < 1e9 else plan.usual_limit
     usual = {
-        "q": ENCODER_NOISE,
-        "theta": ENCODER_NOISE,
-        "dq": SPEED_NOISE,
-        "dtheta": SPEED_NOISE,
-        "tau_t": TORQUE_NOISE * limit,
+        "q": plan.encoder_noise,
+        "theta": plan.encoder_noise,
+        "dq": plan.speed_noise,
+        "dtheta": plan.speed_noise,
+        "tau_t": plan.torque_noise * limit,
     }[channel]
     return max(usual, (own.resolution or {}).get(channel, 0.0) / 12.0**0.5)

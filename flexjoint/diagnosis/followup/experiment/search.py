@@ -10,19 +10,18 @@ import numpy as np
 
 from flexjoint.core.errors import SimulationError
 from flexjoint.diagnosis.followup.experiment import evidence
-from flexjoint.diagnosis.followup.experiment.evidence import DETECTABLE, Evidence, Key, Odds
+from flexjoint.diagnosis.followup.experiment.evidence import Evidence, Key, Odds
 from flexjoint.diagnosis.followup.experiment.limits import Limits, exceeded
 from flexjoint.diagnosis.followup.experiment.question import Question
 from flexjoint.diagnosis.followup.experiment.trajectory import Wave, drawn, reference, timid, varied
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Planned
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.simulate import Simulation
 
-DRAWS, CHANGES = 6, 4  # motions that are tried
 ROUNDS = 12  # of slowing down until a simulation keeps to the limits
 SLOWER = 0.85
-SATURATED = 100.0  # times DETECTABLE, beyond which more energy of an effect counts nothing
 
 Progress = Callable[[float, str], None]
 
@@ -47,10 +46,12 @@ def best_motion(
     """
     random = np.random.default_rng(seed)
     tried: list[Motion] = []
-    for k in range(DRAWS + CHANGES):
-        report(k / (DRAWS + CHANGES), "trying motions")
+    draws = USUAL.plan.drawn
+    count = draws + USUAL.plan.changed
+    for k in range(count):
+        report(k / count, "trying motions")
         waves = drawn(len(robot.joints), random)
-        if k >= DRAWS and tried:
+        if k >= draws and tried:
             waves = varied(max(tried, key=lambda motion: motion.score).waves, random)
         motion = _judged(robot, question, limits, waves, seed + k)
         if motion is not None:
@@ -108,5 +109,6 @@ def _judged(
         logs = np.sort([o.log for o in odds])
         return Motion(tuple(waves), float(logs[0] + 0.1 * np.mean(np.minimum(logs, 100.0))), odds, {})
     shown = asked.shown()
-    value = np.log1p(np.clip(list(shown.values()), 0.0, SATURATED * DETECTABLE) / DETECTABLE)
+    seen = np.array(list(shown.values())) / USUAL.verdict.detectable
+    value = np.log1p(np.clip(seen, 0.0, USUAL.plan.saturated))
     return Motion(tuple(waves), float(np.sum(value)), (), shown)

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flexjoint.diagnosis.followup.experiment.limits import MARGIN, Limits
+from flexjoint.diagnosis.followup.experiment.limits import Limits
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.recording.table import Recording, make
 from flexjoint.rigidbody.numeric import PinBody
 from flexjoint.robot.robot import Robot
@@ -98,10 +99,10 @@ def reference(robot: Robot, waves: Sequence[Wave], limits: Limits) -> Recording:
     shapes = shapes / peaks
     centre, amplitude = _placed(waves, limits)
     peak_speed = np.max(np.abs(np.gradient(shapes, coarse, axis=0)), axis=0)
-    amplitude = np.minimum(amplitude, MARGIN * limits.speed / np.maximum(peak_speed, 1e-9))
+    amplitude = np.minimum(amplitude, USUAL.plan.margin * limits.speed / np.maximum(peak_speed, 1e-9))
     for _ in range(ROUNDS):
         demand = _torque(robot, centre + amplitude * shapes, coarse)
-        over = np.max(np.abs(demand), axis=0) > MARGIN * limits.torque
+        over = np.max(np.abs(demand), axis=0) > USUAL.plan.margin * limits.torque
         if not np.any(over):
             break
         amplitude = np.where(over, SHRINK * amplitude, amplitude)

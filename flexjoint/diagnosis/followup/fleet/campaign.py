@@ -17,8 +17,7 @@ from flexjoint.diagnosis.followup.fleet.roster import Entry, Event, Roster
 from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
 from flexjoint.diagnosis.followup.fleet.units import Store, Unit, unit_of
 from flexjoint.diagnosis.followup.fleet.workers import Runner
-
-LIKELY = 0.5  # probability from which a diagnosis' cause is taken to be there
+from flexjoint.diagnosis.settings import USUAL
 
 Key = tuple[str, str | None, str]  # effect, joint, parameter
 Content = Mapping[str, Any]
@@ -202,7 +201,7 @@ def _named(one: _Open, contents: Sequence[Content], settings: FleetSettings) -> 
     votes: dict[tuple[str, str | None], list[Content]] = {}
     for content in contents:
         for entry in content["findings"]:
-            if entry["probability"] >= LIKELY and entry["since"] is None:
+            if entry["probability"] >= USUAL.verdict.likely and entry["since"] is None:
                 votes.setdefault((entry["effect"], entry["joint"]), []).append(entry)
     everywhere = {effect for effect, joint in one.period.known if joint is None}
     new = {

@@ -12,7 +12,6 @@ from flexjoint.robot.robot import Joint
 
 UNIT = "unit"
 FREE = (0.0, 1e9)  # limits of a gain that may be anything
-MANY = 2  # torques in one unit, from which all of the channel are
 AMPERES, OF_CURRENT, OF_MOTOR, TWICE = "amperes", "motor amperes", "motor side", "twice geared"
 MILLI, KILO, OTHER = "mN m", "kN m", "another unit"
 
@@ -77,7 +76,7 @@ def together(balance: Balance, changes: Sequence[Change]) -> list[Change]:
             out.append(change)
     for (channel, unit), alike in units.items():
         rivals = [other for other in units if other[0] == channel and other[1] != unit]
-        if len(alike) < MANY or unit == OTHER or rivals:
+        if len(alike) < balance.settings.unit_joints or unit == OTHER or rivals:
             out += alike
             continue
         torques = {key: source for change in alike for key, source in change.torques.items()}

@@ -14,7 +14,6 @@ ZERO = "zero"
 EIGHTH = math.pi / 4.0
 BEST = 2  # joints whose angle is looked for between the eighths of a turn
 TRIALS = 12  # of an angle
-WORSE = 1.5  # times the cost, up to which a round angle is as good
 
 
 def angles(balance: Balance, view: View) -> Iterator[Change]:
@@ -43,7 +42,7 @@ def _refined(balance: Balance, view: View, joint: str, angle: float) -> Change:
     round_one = round(found / EIGHTH) * EIGHTH
     if abs(found - round_one) < balance.settings.round_zero:
         at_round = _cost(balance, view, joint, round_one)
-        if at_round <= WORSE * least:
+        if at_round <= balance.settings.round_cost * least:
             found = round_one
     return _change(joint, math.remainder(found, 2.0 * math.pi))
 
