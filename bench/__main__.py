@@ -26,13 +26,13 @@ from bench.rival import INTEGRATORS, Rival
 from flexjoint import check, load_robot, read_recording, shipped_robots
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.robot.robot import Robot
-from flexjoint.simulation.batch import closed_loops
 from flexjoint.simulation.compiled import compiled_for
 from flexjoint.simulation.compiled.engine import job_of
 from flexjoint.simulation.controllers import MotorPD, law_of
-from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import Engine, RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout
+from flexjoint.simulation.runs.batch import closed_loops
+from flexjoint.simulation.runs.live import LiveSimulation
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))

@@ -49,8 +49,8 @@ if TYPE_CHECKING:  # what type checkers and editors see of the table below
     from flexjoint.robot.robot import Robot, shipped_robots
     from flexjoint.robot.robot import load as load_robot
     from flexjoint.simulation import testing
-    from flexjoint.simulation.live import LiveSimulation
     from flexjoint.simulation.options import RunOptions
+    from flexjoint.simulation.runs.live import LiveSimulation
     from flexjoint.simulation.simulate import Simulation, simulate
 
 __all__ = [
@@ -117,7 +117,7 @@ _PLACES = {  # name: module and what it is called there
     "Exported": ("export.targets", "Exported"),
     "FlexJointError": ("core.errors", "FlexJointError"),
     "FlexibleJointModel": ("model.dynamics", "FlexibleJointModel"),
-    "LiveSimulation": ("simulation.live", "LiveSimulation"),
+    "LiveSimulation": ("simulation.runs.live", "LiveSimulation"),
     "Motion": ("report.view", "Motion"),
     "Parameter": ("core.parameter", "Parameter"),
     "Plan": ("diagnosis.followup.experiment", "Plan"),

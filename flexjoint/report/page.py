@@ -7,7 +7,7 @@ import hashlib
 from dataclasses import dataclass
 from importlib import resources
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from flexjoint.report.material import Material
@@ -34,8 +34,8 @@ class Script:
     source: str
 
 
-def html(material: Material) -> str:
-    """One self-contained HTML document. Every text is escaped by the templates."""
+def template(name: str) -> Template:
+    """One of the report's templates; it escapes every text, and an unknown name in it is an error."""
     environment = Environment(
         loader=PackageLoader("flexjoint.report", "templates"),
         autoescape=True,
@@ -43,7 +43,12 @@ def html(material: Material) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("page.html").render(
+    return environment.get_template(name)
+
+
+def html(material: Material) -> str:
+    """One self-contained HTML document. Every text is escaped by the templates."""
+    return template("page.html").render(
         verdict=verdict.build(material),
         causes=causes.build(material),
         torques=torques.build(material),

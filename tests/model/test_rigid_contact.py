@@ -30,9 +30,9 @@ from flexjoint.robot import schema as robot_schema
 from flexjoint.robot.robot import Robot, build, load
 from flexjoint.simulation.compiled import engine
 from flexjoint.simulation.controllers import law_of
-from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout
+from flexjoint.simulation.runs.live import LiveSimulation
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES, make_step
 from flexjoint.simulation.trajectory import Trajectory
 

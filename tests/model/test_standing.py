@@ -16,9 +16,9 @@ from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.model.statics.standing import standing
 from flexjoint.robot.robot import load
 from flexjoint.simulation.controllers import law_of
-from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import Engine, RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout
+from flexjoint.simulation.runs.live import LiveSimulation
 from flexjoint.simulation.trajectory import Trajectory
 
 WEIGHT = (BOX + FLYWHEEL) * 9.81

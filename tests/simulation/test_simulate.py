@@ -18,8 +18,8 @@ from flexjoint.recording.table import make as table
 from flexjoint.simulation.controllers import LinkPD, MotorPD, law_of
 from flexjoint.simulation.loop import physics_rate
 from flexjoint.simulation.options import RunOptions
-from flexjoint.simulation.pieces import simulated_in_pieces
 from flexjoint.simulation.rollout import closed_loop, rollout
+from flexjoint.simulation.runs.pieces import simulated_in_pieces
 from flexjoint.simulation.sensors import readings, true_signals
 from flexjoint.simulation.simulate import command_rate, references_at, simulate, torque_over
 

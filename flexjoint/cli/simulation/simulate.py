@@ -15,7 +15,7 @@ from flexjoint.recording.checks import check_joints
 from flexjoint.recording.table import Recording
 from flexjoint.report.progress import Progress
 from flexjoint.simulation.options import RunOptions
-from flexjoint.simulation.pieces import simulated_in_pieces
+from flexjoint.simulation.runs.pieces import simulated_in_pieces
 from flexjoint.simulation.schemes import DEFAULT
 
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from flexjoint.diagnosis.followup.fleet import words
 from flexjoint.diagnosis.followup.fleet.assess import Line, Trend
@@ -15,6 +14,7 @@ from flexjoint.diagnosis.followup.fleet.fleet import Fleet, day
 from flexjoint.diagnosis.followup.fleet.units import release
 from flexjoint.diagnosis.result.wording import clean
 from flexjoint.report import plots
+from flexjoint.report.page import template
 
 DAY = 86_400.0  # [s]
 PLOTS = 6  # numbers of a robot that are drawn
@@ -54,20 +54,13 @@ class Detail:
 
 def html(fleet: Fleet) -> str:
     """One self-contained HTML document in the style of a diagnosis' report."""
-    environment = Environment(
-        loader=PackageLoader("flexjoint.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     needs = fleet.of("needs")
     unusable = [
         f"{clean(period.machine)}, {clean(entry.recording.name)}: {clean(error)}"
         for period in fleet.periods
         for entry, error in period.unusable
     ]
-    return environment.get_template("fleet.html").render(
+    return template("fleet.html").render(
         count=len(fleet.lines),
         needs=len(needs),
         green=len(fleet.of("green")),

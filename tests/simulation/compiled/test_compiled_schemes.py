@@ -16,11 +16,11 @@ from support.thorough import sample
 from flexjoint.core.errors import SimulationError
 from flexjoint.effects import Planned, effect
 from flexjoint.model.dynamics import FlexibleJointModel
-from flexjoint.simulation.batch import rollouts
 from flexjoint.simulation.compiled import CompiledRates, shared
 from flexjoint.simulation.controllers import LAWS, gain_names, law_of
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import rollout
+from flexjoint.simulation.runs.batch import rollouts
 from flexjoint.simulation.schemes import SCHEMES, implicit
 from flexjoint.simulation.schemes.reference import continuous_control
 

@@ -19,13 +19,13 @@ from flexjoint.effects import Planned, effect
 from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.parameters import renumbered
 from flexjoint.robot.robot import Robot, load, shipped_robots
-from flexjoint.simulation.batch import Batch, closed_loops, rollouts
 from flexjoint.simulation.compiled import CompiledModel, cache, compiler, program
 from flexjoint.simulation.compiled.engine import job_of
 from flexjoint.simulation.controllers import LAWS, gain_names, law_of
 from flexjoint.simulation.loop import physics_rate
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout
+from flexjoint.simulation.runs.batch import Batch, closed_loops, rollouts
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES
 from flexjoint.simulation.schemes.midpoint import Midpoint
 

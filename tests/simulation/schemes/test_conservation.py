@@ -22,10 +22,10 @@ from flexjoint.model.dynamics import FlexibleJointModel, State
 from flexjoint.model.symbolic import SymbolicModel
 from flexjoint.robot.robot import Robot, build, load
 from flexjoint.robot.schema import parse
-from flexjoint.simulation.batch import rollouts
-from flexjoint.simulation.live import LiveSimulation
 from flexjoint.simulation.options import RunOptions
 from flexjoint.simulation.rollout import rollout
+from flexjoint.simulation.runs.batch import rollouts
+from flexjoint.simulation.runs.live import LiveSimulation
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES
 from flexjoint.simulation.schemes.discrete import DiscreteModel
 from flexjoint.simulation.trajectory import Trajectory

@@ -1,2 +1,1 @@
-"""Many robots over time: every recording checked, those that changed diagnosed, one page of who needs
-somebody"""
+"""Many robots over time: every recording checked, those that changed diagnosed, and who needs somebody."""

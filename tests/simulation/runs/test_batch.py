@@ -12,11 +12,11 @@ from support.robots.arms import PENDULUM, PLANAR, make, waves
 from flexjoint.core.errors import ModelError, SimulationError, UnknownNameError
 from flexjoint.effects import effect
 from flexjoint.model.dynamics import FlexibleJointModel
-from flexjoint.simulation import batch
-from flexjoint.simulation.batch import Batch, closed_loops, parameter_names, renumbered, rollouts
 from flexjoint.simulation.controllers import law_of
 from flexjoint.simulation.options import Engine, RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout
+from flexjoint.simulation.runs import batch
+from flexjoint.simulation.runs.batch import Batch, closed_loops, parameter_names, renumbered, rollouts
 from flexjoint.simulation.sensors import true_signals
 
 TICKS = 250

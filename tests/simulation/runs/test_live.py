@@ -26,10 +26,10 @@ from flexjoint.model.springs import VariableSpring
 from flexjoint.rigidbody.symbolic import SymbolicBody
 from flexjoint.simulation.compiled import engine, shared
 from flexjoint.simulation.controllers import law_of
-from flexjoint.simulation.live import KEPT, JointState, LiveSimulation
 from flexjoint.simulation.loop import REFERENCES
 from flexjoint.simulation.options import ENGINES, Engine, RunOptions
 from flexjoint.simulation.rollout import closed_loop, rollout
+from flexjoint.simulation.runs.live import KEPT, JointState, LiveSimulation
 from flexjoint.simulation.schemes import DEFAULT, SCHEMES, make_step
 
 

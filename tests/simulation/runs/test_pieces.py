@@ -14,9 +14,9 @@ from flexjoint.effects import effect
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as recording
 from flexjoint.recording.table import Recording
-from flexjoint.simulation.live import KEPT, LiveSimulation
 from flexjoint.simulation.options import Engine, RunOptions
-from flexjoint.simulation.pieces import simulated_in_pieces
+from flexjoint.simulation.runs.live import KEPT, LiveSimulation
+from flexjoint.simulation.runs.pieces import simulated_in_pieces
 from flexjoint.simulation.simulate import simulate
 
 LATE = [
