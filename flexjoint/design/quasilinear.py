@@ -83,6 +83,10 @@ def describing(planned: Planned, at: Signals, amplitude: Mapping[str, float]) ->
     effect, p = planned.effect, planned.p
     if effect.site is Site.SENSOR:
         raise ModelError(f"{planned}: no describing function of a sensor; choose nonsmooth='slope' or 'null'")
+    if effect.overrides("shafts"):
+        made_of: tuple[tuple[Effect, Mapping[str, Any]], ...]
+        made_of = tuple((describing(one, at, amplitude).effect, {}) for one in planned.parts)
+        return replace(planned, effect=_Shafts(planned, made_of), values={})
     if effect.states and not effect.overrides("level"):
         quasi: _Quasi = _Lag(planned, _same_harmonic(planned, amplitude))
         return replace(planned, effect=quasi, values={})
@@ -166,6 +170,15 @@ class _Torque(_Quasi):
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:
         return self._line.value(s)
+
+
+class _Shafts(_Quasi):
+    def __init__(self, planned: Planned, made_of: tuple[tuple[Effect, Mapping[str, Any]], ...]) -> None:
+        super().__init__(planned)
+        self._made_of = made_of
+
+    def shafts(self, p: Any) -> tuple[tuple[Effect, Mapping[str, Any]], ...]:
+        return self._made_of
 
 
 class _Lag(_Quasi):

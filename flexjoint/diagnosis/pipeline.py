@@ -402,14 +402,15 @@ def _verdict(
     late: bool,
 ) -> tuple[str, str]:
     there = any(f.probability >= settings.likely for f in found)
-    share = f"the causes named explain {100.0 * explained:.0f} % of the error above sensor noise"
+    named = "the causes named" if there else "the causes found, none of them likely,"
+    share = f"{named} explain {100.0 * explained:.0f} % of the error above sensor noise"
     if there and not joints:
         return "causes", share if explained >= settings.explained else f"{share}; the rest has no clear shape"
     if found and joints:
         worst = max(joints, key=lambda joint: joint.after / joint.torque)
         return (
             "unexplained",
-            f"the causes named leave {worst.after:.3g} N m at {worst.joint},"
+            f"{named} leave {worst.after:.3g} N m at {worst.joint},"
             f" {100.0 * worst.after / worst.torque:.0f} % of its torque; it depends most on"
             f" {signal_name(worst.against, rigid)}",
         )

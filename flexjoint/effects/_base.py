@@ -162,6 +162,11 @@ class Effect:
         (virtual work)."""
         return 1.0, 0.0
 
+    def shafts(self, p: Any) -> tuple[tuple[Effect, Mapping[str, Any]], ...]:
+        """MOTOR: the effects of which it is made, each on a shaft of its own (`shares`), with their values;
+        empty for one that is not made of others."""
+        return ()
+
     def rate(self, s: Signals, p: Any, z: Value) -> Value:
         """Time derivative of the internal state z, affine in z."""
         return 0.0
@@ -210,7 +215,7 @@ class Effect:
     @property
     def reaches_before(self) -> bool:
         """Whether it acts on the joint before its own as well."""
-        return self.overrides("shares")
+        return self.overrides("shares") or self.overrides("shafts")
 
     @property
     def nulls(self) -> tuple[Parameter, ...]:

@@ -48,6 +48,12 @@ class Planned:
         return list(Site).index(law.site), not law.overrides("delay"), play, law.name, same
 
     @property
+    def parts(self) -> tuple[Planned, ...]:
+        """The effects on shafts of their own of which it is made; itself where it is one."""
+        made_of = self.effect.shafts(self.p)
+        return tuple(replace(self, effect=law, values=values) for law, values in made_of) or (self,)
+
+    @property
     def p(self) -> Any:
         """The parameters as the laws take them."""
         return self.effect.parameters(self.values)

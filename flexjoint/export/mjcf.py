@@ -29,6 +29,7 @@ from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.robot.reading.mjcf_drives import (
     BIAS,
     CREEP,
+    DIFFERENTIAL,
     DRIVE,
     MARK,
     MOTOR,
@@ -93,6 +94,7 @@ class Mjcf(Target):
         "cogging": exact(f"cogging of a passive dcmotor ({PASSIVE})"),
         "current_lag": exact("dyntype filter of the actuator"),
         "coupled_friction": exact("frictionloss and damping of a tendon of both hinges"),
+        "differential_friction": exact("frictionloss and damping of two tendons of both hinges"),
         "dahl_friction": exact(f"lugre of a passive dcmotor, without its damping ({PASSIVE})"),
         "drive_efficiency": absent("MuJoCo's friction knows no load"),
         "encoder_eccentricity": absent("MuJoCo's sensors read true; add it to what you read"),
@@ -151,7 +153,7 @@ class Mjcf(Target):
         name, p = planned.effect.name, planned.p
         if name == "joint_coupling":
             return self._coupling(robot, planned)
-        if name == "coupled_friction":
+        if planned.effect.reaches_before:
             place = robot.joint_names.index(joint)
             if place == 0 or robot.joints[place].rigid is not robot.joints[place - 1].rigid:
                 return absent("it takes a joint and the one before it, both rigid or both flexible")
@@ -463,18 +465,18 @@ class _Writer:
                 self._constant(f"{name}{joint}", turns, torque)
 
     def _shared_friction(self, joint: str) -> None:
-        """Friction of a shaft that turns with this joint and the one before it."""
-        planned = next((e for e in self.subject.effects if e.key == ("coupled_friction", joint)), None)
-        if planned is None:
-            return
-        before = self.robot.joint_names[self.robot.joint_names.index(joint) - 1]
-        own, other = planned.effect.shares(planned.p)
-        self._tendon(
-            f"{SHARED}{joint}",
-            {self._hinge(joint): float(own), self._hinge(before): float(other)},
-            damping=planned.p.coefficient or None,
-            **self._dry(planned.p.level),
-        )
+        """Friction of shafts that turn with this joint and the one before it."""
+        sharing = [e for e in self.subject.effects if e.joint == joint and e.effect.reaches_before]
+        for one in (part for planned in sharing for part in planned.parts):
+            before = self.robot.joint_names[self.robot.joint_names.index(joint) - 1]
+            own, other = one.effect.shares(one.p)
+            kind = SHARED if one in sharing else DIFFERENTIAL[one.p.speed]
+            self._tendon(
+                f"{kind}{joint}",
+                {self._hinge(joint): float(own), self._hinge(before): float(other)},
+                damping=one.p.coefficient or None,
+                **self._dry(one.p.level),
+            )
 
     def _constant(self, name: str, along: dict[str, float], torque: float) -> None:
         """A constant torque along a tendon: a soft spring that is stretched far."""

@@ -33,9 +33,9 @@ COMMANDS: Mapping[str, Way] = _all(
 )
 LIMITS: Mapping[str, Way] = _all("torque_saturation torque_speed_limit", "limits are not in that file")
 FRICTION: Mapping[str, Way] = _all(
-    "asymmetric_friction breakaway_friction coupled_friction dahl_friction drive_efficiency friction_drift"
-    " link_coulomb_friction link_viscous_friction load_friction motor_coulomb_friction motor_viscous_friction"
-    " rough_spot stribeck_friction",
+    "asymmetric_friction breakaway_friction coupled_friction dahl_friction differential_friction"
+    " drive_efficiency friction_drift link_coulomb_friction link_viscous_friction load_friction"
+    " motor_coulomb_friction motor_viscous_friction rough_spot stribeck_friction",
     "no such friction there",
 )
 FORCES: Mapping[str, Way] = _all(

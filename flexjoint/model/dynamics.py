@@ -168,9 +168,10 @@ class FlexibleJointModel:
         more = []
         for planned in reaching:
             i = names.index(str(planned.joint))
-            share, before = planned.effect.shares(planned.p)
-            flow = JointFlow(self.joints[i], [self._part(planned)])
-            more.append(Shaft(i, {i: share, i - 1: before}, {}, flow))
+            for one in planned.parts:
+                share, before = one.effect.shares(one.p)
+                part = Part(one.effect, one.p, -1, self.effects.index(planned))
+                more.append(Shaft(i, {i: share, i - 1: before}, {}, JointFlow(self.joints[i], [part])))
         groups = []
         for some in joined([*(c.joints for c in self.robot.couplings), *(shaft.turns for shaft in more)]):
             joints = tuple(sorted(some))

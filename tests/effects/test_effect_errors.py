@@ -149,6 +149,8 @@ def test_starts_are_deterministic_distinct_and_inside_the_bounds(effect: Effect)
 def response(effect: Effect, s: Signals, values: dict[str, float]) -> np.ndarray:
     """What the effect changes in the signal on which it acts, over the whole recording (N,)."""
     p = effect.parameters(values)
+    if effect.overrides("shafts"):  # at one speed of all: where only one shaft is, at its own
+        return np.sum([response(law, s, dict(numbers)) for law, numbers in effect.shafts(p)], axis=0)
     if effect.overrides("delay"):
         x = s.tau_m if effect.site is Site.COMMAND else s.q
         return np.interp(s.t - p.delay, s.t, x) - x
@@ -289,6 +291,16 @@ SPECIAL: dict[tuple[str, str], tuple[dict[str, float], dict[str, float], float]]
     ("asymmetric_friction", "motor_coulomb_friction"): (
         {"level_positive": 0.7, "level_negative": 0.7},
         {"level": 0.7},
+        0,
+    ),
+    ("differential_friction", "coupled_friction"): (
+        {
+            "level_sum": 0.7,
+            "coefficient_sum": 0.3,
+            "level_difference": 0.0,
+            "coefficient_difference": 0.0,
+        },
+        {"level": 0.7, "coefficient": 0.3},
         0,
     ),
     ("stribeck_friction", "motor_coulomb_friction"): ({"level": 0.7, "static_extra": 0}, {"level": 0.7}, 0),

@@ -42,6 +42,12 @@ SIZES: dict[str, dict[str, Any]] = {  # that matter in this motion
     "coupled_friction": {"level": 0.6, "coefficient": 0.5},
     "current_lag": {"time_constant": 8e-3},
     "dahl_friction": {"level": 1.0, "scale": 5e-3},
+    "differential_friction": {
+        "level_sum": 0.6,
+        "coefficient_sum": 0.5,
+        "level_difference": 0.3,
+        "coefficient_difference": 0.8,
+    },
     "end_stop": {"position": 0.02, "stiffness": 500.0},
     "hardening_spring": {"cubic": 1e8},
     "joint_coupling": {"share": 0.3, "side": "before"},

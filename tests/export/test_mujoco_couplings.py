@@ -114,6 +114,21 @@ def test_a_friction_that_two_joints_share(speed: str, rigid: bool) -> None:
     assert short < 0.1 * rms(truth - without)
 
 
+@KINDS
+def test_friction_of_both_motors_of_a_differential(rigid: bool) -> None:
+    motors = {
+        "level_sum": 0.4,
+        "coefficient_sum": 0.4,
+        "level_difference": 0.2,
+        "coefficient_difference": 0.3,
+    }
+    arm = arm_of(None, rigid, effect("differential_friction", "pitch", **motors))
+    truth, without = ours(arm), ours(arm_of(None, rigid))
+    coarse, short = (rms(theirs(arm, steps) - truth) for steps in (COARSE, SHORT))
+    assert coarse < SHARE * rms(truth - truth[:1]) and short < max(SHRINKS * coarse, FLOOR)
+    assert short < 0.1 * rms(truth - without)
+
+
 def test_the_mass_matrix_has_the_shared_inertia() -> None:
     """TX40: motor 6 turns with joints 5 and 6."""
     arm = load("tx40")

@@ -270,14 +270,18 @@ def test_a_coupled_motor_gets_a_share_of_what_its_neighbour_is_asked_for(joint, 
     assert np.abs(others).max() > 10.0  # as commanded, whatever its own drive makes of it
 
 
+@pytest.mark.parametrize("effect", ["coupled_friction", "differential_friction"])
 @pytest.mark.parametrize(("speed", "sign"), [("sum", 1.0), ("difference", -1.0)])
-def test_a_shared_friction_acts_on_both_motors(speed, sign):
+def test_a_shared_friction_acts_on_both_motors(effect, speed, sign):
     """From the recorded motion: what the motors' torques lack of inertia, damping and springs is the
     friction."""
     level, coefficient = 2.0, 1.5
-    friction = Planted(
-        "coupled_friction", "elbow", {"level": level, "coefficient": coefficient, "speed": speed}
-    )
+    values = {"level": level, "coefficient": coefficient, "speed": speed}
+    if effect == "differential_friction":  # of which the other motor is free
+        ways = {"sum": 0.0, "difference": 0.0, speed: 1.0}
+        values = {f"level_{way}": level * share for way, share in ways.items()}
+        values |= {f"coefficient_{way}": coefficient * share for way, share in ways.items()}
+    friction = Planted(effect, "elbow", values)
     recorded = plant(CRANE, [friction], "rich", 3, 4, PERFECT, rate=1000)
     robot, true = recorded.real, recorded.true
     acceleration = np.diff(true["dtheta"], axis=0) / 1e-3

@@ -84,7 +84,16 @@ LATER: dict[str, Law] = {
 }
 """Effects that came later still: robots drawn at random draw from CATALOGUE and BEYOND."""
 
-TWO_JOINTS = ("joint_coupling", "coupled_friction")
+UNDRAWN: dict[str, Law] = {
+    "differential_friction": Law(
+        "motor", ("level_sum", "coefficient_sum", "level_difference", "coefficient_difference")
+    ),
+}
+"""Effects that no machine of the study draws: what it draws is kept as it was."""
+
+SHARED = ("coupled_friction", "differential_friction")
+"""Frictions of shafts that a joint shares with the one before it."""
+TWO_JOINTS = ("joint_coupling", *SHARED)
 """Effects that take a joint and one beside it."""
 
 _SIDE = {"side": ("before", "after")}
@@ -149,9 +158,10 @@ WITH_STATE = ("spring_hysteresis", "dahl_friction", "breakaway_friction", "sprin
 
 def law(effect: str) -> Law:
     """The law of an effect; raises ValueError when there is none."""
-    found = CATALOGUE.get(effect) or BEYOND.get(effect) or LATER.get(effect) or OUTSIDE.get(effect)
+    every = {**CATALOGUE, **BEYOND, **LATER, **UNDRAWN, **OUTSIDE}
+    found = every.get(effect)
     if found is None:
-        known = ", ".join((*CATALOGUE, *BEYOND, *LATER, *OUTSIDE))
+        known = ", ".join(every)
         raise ValueError(f"unknown effect {effect!r}; there are {known}")
     return found
 
@@ -208,7 +218,7 @@ def check(robot: Robot, effects: list[Planted]) -> None:
         if (planted.effect, planted.joint) in seen:
             raise ValueError(f"{planted.effect} is planted twice on {planted.joint}")
         seen.add((planted.effect, planted.joint))
-        if "side" in law(planted.effect).words or planted.effect == "coupled_friction":
+        if "side" in law(planted.effect).words or planted.effect in SHARED:
             neighbour(robot, planted)
     for joint in robot.joints:
         several = [p.effect for p in effects if p.effect in WITH_STATE and p.joint == joint]
@@ -219,7 +229,7 @@ def check(robot: Robot, effects: list[Planted]) -> None:
 def neighbour(robot: Robot, coupling: Planted) -> int:
     """Index of the joint on the `side` of an effect's own, of a shared friction the one before; raises
     ValueError where there is none."""
-    side = "before" if coupling.effect == "coupled_friction" else coupling.word("side")
+    side = "before" if coupling.effect in SHARED else coupling.word("side")
     index = robot.index(coupling.joint) + (-1 if side == "before" else 1)
     if not 0 <= index < len(robot.joints):
         raise ValueError(f"{coupling.effect}: {robot.name} has no joint {side} {coupling.joint}")

@@ -165,6 +165,18 @@ def test_found_but_not_all_of_it_says_what_was_found_first_and_what_is_left_seco
     assert "What is left at elbow follows no single signal." in words(without_shape)
 
 
+def test_what_hides_in_the_noise_of_a_torque_is_told_by_all_balances_together():
+    """An unexplained error beside "1 times sensor noise" would contradict itself."""
+    hidden = replace(
+        UNEXPLAINED,
+        remaining=(d.Remaining("elbow", 10.0, 0.22, 0.21, 0.2, 0.02, "q"),),
+        energy=(900.0, 529.0),
+    )
+    assert "are left at 23 times the noise" in words(hidden)
+    assert "times the noise" not in words(replace(UNEXPLAINED, energy=(900.0, 529.0)))  # its torque shows it
+    assert "times the noise" not in words(replace(hidden, verdict="causes"))
+
+
 def test_another_joint_of_which_more_is_left_is_named_too():
     joints = (
         d.Remaining("a", 30.0, 20.0, 0.6, 0.3, 0.1, "q"),

@@ -176,6 +176,10 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
         "level N m, scale rad",
         {"torque": lambda i: -i.z, "rate": lambda i: _dahl(i.s.dtheta, i.z, i.p)},
     ),
+    "differential_friction": (
+        "level_sum N m, coefficient_sum N m s/rad, level_difference N m, coefficient_difference N m s/rad",
+        {"level": lambda i: i.p.level_sum + i.p.level_difference},
+    ),
     "drive_efficiency": (
         "loss_driving 1, loss_backdriving 1",
         {

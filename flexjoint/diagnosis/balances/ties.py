@@ -73,6 +73,7 @@ class Ties:
             out.append(Turning(i, *self.coupled[i], laws))
         for e in effects:
             if (pair := self._pair(e)) is not None:
-                share, before = e.effect.shares(e.p)
-                out.append(Turning(pair[0], {pair[0]: float(share), pair[1]: float(before)}, {}, (e,)))
+                for part in e.parts:
+                    share, before = part.effect.shares(part.p)
+                    out.append(Turning(pair[0], {pair[0]: float(share), pair[1]: float(before)}, {}, (part,)))
         return out

@@ -277,11 +277,25 @@ def _left(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
         )
     elif diagnosis.verdict == "unexplained" and not pushes(diagnosis, joints):
         lines.append(f"What is left at {clean(most.joint)} follows no single signal.")
+    if diagnosis.verdict == "unexplained" and most.after <= USUAL.verdict.above_noise * most.noise:
+        lines += _above_noise(diagnosis.energy[1])
     if possible(diagnosis):
         lines.append("This is with the possible causes, too, which are not in the extended model.")
     if diagnosis.verdict == "unexplained" and likely(diagnosis):
         lines.append("So the causes named are not all of it.")
     return (*lines, *uncovered(diagnosis, joints))
+
+
+def _above_noise(energy: float) -> tuple[str, ...]:
+    """How far all balances together exceed the noise, as no joint's torque does so by itself: noise of high
+    frequency makes most of a torque's."""
+    if not (math.isfinite(energy) and energy > 1.0):
+        return ()
+    times = number(math.sqrt(energy), 2)
+    return (
+        "In that torque it hides in the sensors' noise. All balances together, each frequency weighed by"
+        f" its own noise, are left at {times} times the noise.",
+    )
 
 
 def _of_joint(left: Remaining, joints: Joints, verb: str, opening: str = "") -> str:

@@ -80,15 +80,15 @@ def _kept(effect: Planned, held: Sequence[Planned]) -> bool:
 
 
 def degenerate(problem: Problem, planned: Planned) -> bool:
-    """Whether the fitted numbers of an effect mean nothing: its size is zero; a shape parameter is at its
-    bound or below what the sensors resolve, so that a simpler law does the same; its size is at the upper
-    bound; it is a friction in one direction and none in the other (an offset larger than friction looks so);
-    it is a load with which what the joint carries weighs less than nothing; or its torque is far above both
-    the torques of its joint and the torque that it shows in any balance (a peak of friction below the speeds
-    that the data resolve)."""
+    """Whether the fitted numbers of an effect mean nothing: its size is zero, or that of one of the effects
+    of which it is made; a shape parameter is at its bound or below what the sensors resolve, so that a
+    simpler law does the same; its size is at the upper bound; it is a friction in one direction and none in
+    the other (an offset larger than friction looks so); it is a load with which what the joint carries weighs
+    less than nothing; or its torque is far above both the torques of its joint and the torque that it shows
+    in any balance (a peak of friction below the speeds that the data resolve)."""
     limits = problem.settings.search
     sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
-    if all(np.all(np.ravel(size) == p.null) for size, p in sizes):
+    if any(_absent(part) for part in planned.parts):
         return True
     if any(np.any(np.isclose(size, p.high, rtol=limits.at_bound, atol=0.0)) for size, p in sizes):
         return True
@@ -110,6 +110,10 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
         np.isclose(planned.values[p.name], (p.low, p.high), rtol=limits.at_bound, atol=0.0).any()
         for p in shapes
     ) or _unseen(problem, planned, shapes)
+
+
+def _absent(planned: Planned) -> bool:
+    return all(np.all(np.ravel(planned.values[p.name]) == p.null) for p in planned.effect.nulls)
 
 
 def _weightless(problem: Problem, planned: Planned) -> bool:
@@ -212,11 +216,12 @@ def stands_in(trial: Fit, added: Planned) -> bool:
     names = trial.problem.robot.joint_names
     i = names.index(added.joint)
     taken = {e.key for e in trial.effects}
+    numbers = added.parts[0].values
     ordinary = [
-        Planned.of(e.name, joint, {p.name: added.values[p.name] for p in e.params}, since=added.since)
+        Planned.of(e.name, joint, {p.name: numbers[p.name] for p in e.params}, since=added.since)
         for e in catalogue().values()
         for joint in names[i - 1 : i + 1]
-        if e.ordinary and (e.name, joint) not in taken and {p.name for p in e.params} <= set(added.values)
+        if e.ordinary and (e.name, joint) not in taken and {p.name for p in e.params} <= set(numbers)
     ]
     if not ordinary:
         return False

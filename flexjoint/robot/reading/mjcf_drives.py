@@ -22,6 +22,7 @@ MARK = ("written_by", "flexjoint export")  # a <text> below <custom>
 ROTOR = "rotor."  # before the name of a joint: its rotor's hinge
 SPRING, PRELOAD, CREEP, STOP, DRIVE = "spring.", "preload.", "creep.", "stop.", "drive."  # tendons
 MOTOR, SHARED = "motor.", "shared."  # tendons: of a motor that several joints share, of a shared friction
+DIFFERENTIAL = {"sum": "sum.", "difference": "difference."}  # tendons of the two motors of a differential
 BIAS, OFFSET = "bias.", "offset."  # constant torques along the tendon of a motor
 RK4 = "RK4"  # the integrator under which delays are half a step longer
 SOFT = 1e-4  # smallest impedance of MuJoCo's limits: as a spring whose end has this share of its inertia
@@ -259,6 +260,7 @@ class _Reader:
                 if self._number(link, key):
                     yield effect, {number: self._number(link, key)}
         yield from self._loop("dahl_friction", name)
+        numbers = {"level": "frictionloss", "coefficient": "damping"}
         shared = self.tendons.get(f"{SHARED}{name}")
         if shared is not None:
             before = [
@@ -267,9 +269,18 @@ class _Reader:
                 if hinge not in (name, f"{ROTOR}{name}")
             ]
             speed = "difference" if before and before[0] < 0.0 else "sum"
-            numbers = {"level": "frictionloss", "coefficient": "damping"}
             values = {key: self._number(shared, attribute) for key, attribute in numbers.items()}
             yield "coupled_friction", {**values, "speed": speed}
+        both = {speed: self.tendons.get(f"{kind}{name}") for speed, kind in DIFFERENTIAL.items()}
+        if None not in both.values():
+            yield (
+                "differential_friction",
+                {
+                    f"{key}_{speed}": self._number(tendon, attribute)
+                    for speed, tendon in both.items()
+                    for key, attribute in numbers.items()
+                },
+            )
 
     def _loop(self, effect: str, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
         bristles = self._numbers(self.motors.get(f"{effect}.{name}"), "lugre", (5,))

@@ -37,6 +37,7 @@ DRY = [
     effect("motor_coulomb_friction", "pitch", level=1.0),
 ]
 SHARING = effect("coupled_friction", "pitch", level=1.2, coefficient=0.3, speed="difference")
+BOTH = effect("differential_friction", "pitch", level_sum=0.8, level_difference=1.2, coefficient_sum=0.3)
 
 
 def recorded(robot: Robot, effects: Sequence[Planned], noise: dict[str, float] | None = None) -> Recording:
@@ -65,10 +66,14 @@ def test_balances_vanish_with_what_acts_on_shared_motors(rigid: bool, matrix: Ma
 
 
 @pytest.mark.parametrize("rigid", [True, False])
-@pytest.mark.parametrize("matrix", [None, THROUGH, DIFFERENTIAL])
-def test_so_they_do_with_dry_friction_at_rest_and_in_motion(matrix: Matrix | None, rigid: bool) -> None:
+@pytest.mark.parametrize(
+    ("matrix", "more"), [(None, SHARING), (None, BOTH), (THROUGH, None), (DIFFERENTIAL, None)]
+)
+def test_so_they_do_with_dry_friction_at_rest_and_in_motion(
+    matrix: Matrix | None, more: Planned | None, rigid: bool
+) -> None:
     robot = coupled(matrix, rigid=rigid)
-    acting = DRY if matrix else [*DRY, SHARING]
+    acting = [*DRY, more] if more else DRY
     balances = balances_of(robot, recorded(robot, acting))
     nominal, explained = left(balances, []), left(balances, acting)
     assert np.max(nominal) > 1.0

@@ -12,9 +12,10 @@ phi = theta - q, w = dtheta. Everything acts in this order where several effects
   w = 0 (Karnopp's model with located events), so no creep and no smoothing width. A stuck link has its
   acceleration removed from M q'' = tau_link by striking its row and column. Dahl's friction is a torque -z
   and never sticks; a breakaway level falls with the path since its start, z = 1 there.
-- coupled_friction: a shaft turns with w_s = w + s w_before, s = 1 (sum) or -1 (difference), and rubs with
-  f = level tanh(w_s/creep) + coefficient w_s: motor -f, the motor before -s f. It alone creeps instead of
-  sticking, at 5 mrad/s or more: two motors that are held by one shaft are no switch of a joint.
+- coupled_friction, differential_friction (a shaft of each sign): a shaft turns with w_s = w + s w_before,
+  s = 1 (sum) or -1 (difference), and rubs with f = level tanh(w_s/creep) + coefficient w_s: motor -f, the
+  motor before -s f. It alone creeps instead of sticking, at 5 mrad/s or more: two motors that are held by one
+  shaft are no switch of a joint.
 - transmission: e = phi + transmission error, less half the gap on the engaged side (dead zone, located
   events as well); tau_t = K e + cubic e^3 + D phi' (0 inside the gap) + z + preload, with the z of Dahl's
   hysteresis as a state, or a creeping spring's stiffness z in its place.
@@ -32,7 +33,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ..catalogue import BEYOND, CATALOGUE, DRY_MOTOR, DRY_OUTSIDE, Law, Planted, check, law, neighbour
+from ..catalogue import BEYOND, CATALOGUE, DRY_MOTOR, DRY_OUTSIDE, SHARED, Law, Planted, check, law, neighbour
 from ..robots import Robot
 from . import outside
 from .chain import Array, body_load, inverse_dynamics, mass_matrix, point_load
@@ -302,25 +303,25 @@ class Equations:
             total -= found[1] * self.z[j]
         return total - self._shared_friction(j)
 
-    def _creep(self, p: Planted, own: int, before: int) -> float:
+    def _creep(self, level: float, own: int, before: int) -> float:
         """Speed [rad/s] at which a shared friction creeps: what its level makes of the motors in 0.4 ms, two
         of the machine's steps, and CREEP at least."""
         lightness = 0.0 if self.rigid[own] else float(np.sum(1.0 / self.robot.motor_inertia[[own, before]]))
-        return max(CREEP, 4e-4 * p.value("level") * lightness)
+        return max(CREEP, 4e-4 * level * lightness)
 
     def _shared_friction(self, j: int) -> ca.SX:
         """What shafts that turn with joint j and the one before, or the one behind, take of motor j's
         torque."""
         total = ca.SX(0)
         for k, p in enumerate(self.effects):
-            if p.effect != "coupled_friction":
+            if p.effect not in SHARED:
                 continue
             own, before = self.robot.index(p.joint), neighbour(self.robot, p)
-            sign = 1.0 if p.word("speed") == "sum" else -1.0
-            w = self.dtheta[own] + sign * self.dtheta[before]
-            f = p.value("level") * ca.tanh(w / self._creep(p, own, before)) + p.value("coefficient") * w
-            f *= self.gates[k]
-            total += f if j == own else sign * f if j == before else 0
+            for sign, level, coefficient in _shafts(p):
+                w = self.dtheta[own] + sign * self.dtheta[before]
+                f = level * ca.tanh(w / self._creep(level, own, before)) + coefficient * w
+                f *= self.gates[k]
+                total += f if j == own else sign * f if j == before else 0
         return total
 
     def _motor_inertia(self, j: int) -> ca.SX:
@@ -411,3 +412,11 @@ def _tilted(roll: float, pitch: float, gravity: Array) -> Array:
     rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     return (rx @ ry).T @ gravity
+
+
+def _shafts(p: Planted) -> tuple[tuple[float, float, float], ...]:
+    """Sign, level and coefficient of each shaft that a shared friction is on."""
+    if p.effect == "coupled_friction":
+        return ((1.0 if p.word("speed") == "sum" else -1.0, p.value("level"), p.value("coefficient")),)
+    ways = ((1.0, "sum"), (-1.0, "difference"))
+    return tuple((sign, p.value(f"level_{way}"), p.value(f"coefficient_{way}")) for sign, way in ways)

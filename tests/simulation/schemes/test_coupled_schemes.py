@@ -17,12 +17,14 @@ TORQUE = np.array([2.0, -3.0, 1.5])
 SMOOTH = [
     effect("motor_viscous_friction", "pitch", coefficient=0.4),
     effect("coupled_friction", "pitch", level=0.0, coefficient=0.5, speed="difference"),
+    effect("differential_friction", "pitch", level_sum=0.0, level_difference=0.0, coefficient_sum=0.3),
     effect("hardening_spring", "roll", cubic=1e5),
 ]
 DRY = [
     effect("motor_coulomb_friction", "roll", level=0.9),
     effect("motor_coulomb_friction", "pitch", level=0.7),
     effect("coupled_friction", "pitch", level=0.5, coefficient=0.1),
+    effect("differential_friction", "pitch", level_sum=0.3, level_difference=0.4, coefficient_sum=0.0),
     effect("link_coulomb_friction", "pitch", level=0.3),
 ]
 
