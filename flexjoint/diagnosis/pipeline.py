@@ -314,7 +314,7 @@ def _diagnosis(
         ranking=verdict.ranking(selection),
         residuals=case.residuals,
         explained=case.explained,
-        notes=(*said, *case.late, *case.notes, *verdict.not_believed(best)),
+        notes=(*said, *case.late, *case.notes, *verdict.not_believed(best), *verdict.to_state(best, found)),
         energy=(
             float(np.mean(selection.nothing.problem.level.inflation)),
             float(np.mean(best.problem.level.inflation)),

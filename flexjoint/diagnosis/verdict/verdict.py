@@ -194,6 +194,28 @@ def not_believed(best: Fit) -> tuple[str, ...]:
     )
 
 
+def to_state(best: Fit, found: Sequence[Finding]) -> tuple[str, ...]:
+    """Notes on motors that turn with two joints, and how a robot file states it: their inertia acts on both
+    joints, too, which no friction says."""
+    robot, notes = best.problem.robot, []
+    for finding in found:
+        if not finding.planned.effect.reaches_before or finding.probability < best.settings.verdict.likely:
+            continue
+        own = robot.joint_names.index(str(finding.joint))
+        if any(own in coupling.joints for coupling in robot.couplings):
+            continue
+        shares = [part.effect.shares(part.p) for part in finding.planned.parts]
+        rows = [f"[{before:g}, {share:g}]" for share, before in shares]
+        matrix = ", ".join(rows if len(rows) > 1 else ["[1, 0]", *rows])
+        before = robot.joint_names[own - 1]
+        notes.append(
+            f"{finding.effect} on {finding.joint}: a motor turns with {before}, too, and its inertia acts on"
+            " both joints; state that in the robot file and diagnose again:"
+            f" `couplings: [{{joints: [{before}, {finding.joint}], matrix: [{matrix}]}}]`"
+        )
+    return tuple(notes)
+
+
 def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
     """Actuators' numbers that the data show to deviate, and by how many prior deviations."""
     problem = best.problem

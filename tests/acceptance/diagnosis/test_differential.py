@@ -50,6 +50,9 @@ def test_it_is_named_and_measured(tmp_path: Path, rigid: bool) -> None:
     assert [(f.effect, f.joint) for f in found.findings] == [("differential_friction", "elbow")], summary(
         found
     )
+    assert any("joints: [shoulder, elbow], matrix: [[1, 1], [-1, 1]]" in note for note in found.notes), (
+        found.notes
+    )
     (finding,) = found.findings
     assert found.verdict == "causes" and finding.probability > 0.9, summary(found)
     for name, true in DIFFERENTIAL.items():
@@ -62,6 +65,9 @@ def test_one_motor_on_both_joints_is_no_differential(tmp_path: Path) -> None:
     shared = Planted("coupled_friction", "elbow", {"level": 2.2, "coefficient": 3.0, "speed": "sum"})
     found = diagnosed(tmp_path, True, [shared])
     assert [(f.effect, f.joint) for f in found.findings] == [("coupled_friction", "elbow")], summary(found)
+    assert any("joints: [shoulder, elbow], matrix: [[1, 0], [1, 1]]" in note for note in found.notes), (
+        found.notes
+    )
 
 
 @thorough
