@@ -182,6 +182,22 @@ def test_what_init_reads_is_what_was_exported(matrix: Matrix, rigid: bool, tmp_p
             assert getattr(found[key], param.name) == pytest.approx(getattr(p, param.name), rel=1e-6), key
 
 
+@KINDS
+def test_init_reads_a_differential_back(rigid: bool, tmp_path: Path) -> None:
+    numbers = {
+        "level_sum": 0.4,
+        "coefficient_sum": 0.3,
+        "level_difference": 0.2,
+        "coefficient_difference": 0.1,
+    }
+    exported(arm_of(None, rigid, effect("differential_friction", "pitch", **numbers)), "mjcf").write(
+        tmp_path / "arm.xml"
+    )
+    (found,) = draft(str(tmp_path / "arm.xml"), tmp_path / "arm.yaml").robot.effects
+    assert found.key == ("differential_friction", "pitch")
+    assert dict(found.values) == pytest.approx(numbers, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("found", "put"),
     [
