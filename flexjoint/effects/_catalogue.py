@@ -53,6 +53,13 @@ class Planned:
         made_of = self.effect.shafts(self.p)
         return tuple(replace(self, effect=law, values=values) for law, values in made_of) or (self,)
 
+    def special_cases(self, name: str) -> tuple[Planned, ...]:
+        """An effect that its law `contains`, with the numbers that both have; of one made of others, each of
+        these."""
+        parts = [dict(part.values) for part in self.parts if part.effect.name == name]
+        common = {p.name: self.values[p.name] for p in find(name).params if p.name in self.values}
+        return tuple(Planned.of(name, self.joint, values, since=self.since) for values in parts or [common])
+
     @property
     def p(self) -> Any:
         """The parameters as the laws take them."""

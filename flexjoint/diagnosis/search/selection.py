@@ -523,13 +523,10 @@ def _simpler(result: Fit, without: Fit, effect: Planned) -> list[Fit]:
     """The sets with a special case of an effect's law in its place, where the data support that."""
     out = []
     taken = {e.key for e in result.effects}
-    for name in effect.effect.contains:
-        simple = catalogue()[name]
-        if (name, effect.joint) in taken:
+    for simple in (one for name in effect.effect.contains for one in effect.special_cases(name)):
+        if simple.key in taken:
             continue
-        values = {p.name: effect.values[p.name] for p in simple.params if p.name in effect.values}
-        planned = Planned.of(name, effect.joint, values, since=effect.since)
-        trial = fit(result.problem, [*without.effects, planned])
+        trial = fit(result.problem, [*without.effects, simple])
         if supported(trial, without, trial.effects[-1]):
             out.append(trial)
     return out

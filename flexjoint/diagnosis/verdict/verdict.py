@@ -196,7 +196,7 @@ def not_believed(best: Fit) -> tuple[str, ...]:
 
 def to_state(best: Fit, found: Sequence[Finding]) -> tuple[str, ...]:
     """Notes on motors that turn with two joints, and how a robot file states it: their inertia acts on both
-    joints, too, which no friction says."""
+    joints, too, which no friction says. What the file says of a joint's motor is then that of the motor."""
     robot, notes = best.problem.robot, []
     for finding in found:
         if not finding.planned.effect.reaches_before or finding.probability < best.settings.verdict.likely:
@@ -209,9 +209,10 @@ def to_state(best: Fit, found: Sequence[Finding]) -> tuple[str, ...]:
         matrix = ", ".join(rows if len(rows) > 1 else ["[1, 0]", *rows])
         before = robot.joint_names[own - 1]
         notes.append(
-            f"{finding.effect} on {finding.joint}: a motor turns with {before}, too, and its inertia acts on"
-            " both joints; state that in the robot file and diagnose again:"
-            f" `couplings: [{{joints: [{before}, {finding.joint}], matrix: [{matrix}]}}]`"
+            f"{finding.effect} on {finding.joint}: what turns with {before}, too, has inertia on both joints"
+            " as well; state that in the robot file and diagnose again:"
+            f" `couplings: [{{joints: [{before}, {finding.joint}], matrix: [{matrix}]}}]`. motor_inertia,"
+            " motor_damping and torque_limit of these joints are then those of the motors: restate them"
         )
     return tuple(notes)
 

@@ -61,13 +61,12 @@ def test_it_is_named_and_measured(tmp_path: Path, rigid: bool) -> None:
 
 
 @thorough
-def test_one_motor_on_both_joints_is_no_differential(tmp_path: Path) -> None:
-    shared = Planted("coupled_friction", "elbow", {"level": 2.2, "coefficient": 3.0, "speed": "sum"})
+@pytest.mark.parametrize(("speed", "matrix"), [("sum", "[1, 0], [1, 1]"), ("difference", "[1, 0], [-1, 1]")])
+def test_one_motor_on_both_joints_is_no_differential(tmp_path: Path, speed: str, matrix: str) -> None:
+    shared = Planted("coupled_friction", "elbow", {"level": 2.2, "coefficient": 3.0, "speed": speed})
     found = diagnosed(tmp_path, True, [shared])
     assert [(f.effect, f.joint) for f in found.findings] == [("coupled_friction", "elbow")], summary(found)
-    assert any("joints: [shoulder, elbow], matrix: [[1, 0], [1, 1]]" in note for note in found.notes), (
-        found.notes
-    )
+    assert any(f"joints: [shoulder, elbow], matrix: [{matrix}]" in note for note in found.notes), found.notes
 
 
 @thorough

@@ -11,7 +11,7 @@ from flexjoint.diagnosis.verdict.cases import StatedCase
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
 from flexjoint.diagnosis.verdict.checks._numbers import correlation, distance, fitted_number
 from flexjoint.diagnosis.verdict.unseen import joint_left, unseen_problem
-from flexjoint.effects import Parameter, Planned, catalogue, numbers_beyond
+from flexjoint.effects import Parameter, Planned, numbers_beyond
 
 
 class FinerThanKnown(Check[StatedCase]):
@@ -44,13 +44,9 @@ def leaves_less(best: Fit, planned: Planned) -> bool:
     held = held_beside(others, planned)
     law = _left(seen, [*others, planned], held, planned.joint)
     within = best.settings.verdict.better_without
-    for name in planned.effect.contains:
-        if any(e.key == (name, planned.joint) for e in others):
+    for simple in (one for name in planned.effect.contains for one in planned.special_cases(name)):
+        if any(e.key == simple.key for e in others):
             continue
-        values = {
-            p.name: planned.values[p.name] for p in catalogue()[name].params if p.name in planned.values
-        }
-        simple = Planned.of(name, planned.joint, values, since=planned.since)
         simpler = _left(seen, [*others, simple], held, planned.joint)
         if all(now >= within * then for now, then in zip(law, simpler, strict=True)):
             return False
