@@ -21,7 +21,7 @@ from flexjoint.diagnosis.regression.deviations import (
 from flexjoint.diagnosis.regression.nuisance import entangles
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.settings import RegressionSettings, Settings
-from flexjoint.effects import Parameter, Planned
+from flexjoint.effects import Parameter, Planned, Site
 
 MOST_DAMPING = 1e8  # of a scaled step: with more damping no step lowers the energy
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
@@ -107,20 +107,37 @@ def fit(
     effects: Sequence[Planned],
     iterations: int = 12,
     held: Collection[Planned] = (),
+    tried: Planned | None = None,
 ) -> Fit:
     """Fit all numbers but those of the effects that are `held`, starting from the given values; bounds are
-    kept by clipping."""
+    kept by clipping. Where an effect is `tried` that acts within its joint, those within other joints are
+    held, too, and what acts on several joints (a load) moves along its derivatives first: one joint's
+    balances are then evaluated for a step, and those of all joints for the last ones."""
     problem, slots = problem.about(effects), slots_of(effects)
-    free = np.array([not any(effects[slot.effect] is e for e in held) for slot in slots], dtype=bool)
     if not slots:
         y = problem.residual(effects)
         judge = partial(_judged, problem, y, tuple(effects), slots)
         return Fit(problem, tuple(effects), judge, y, np.zeros((0, y.size)), slots)
-    current, y, jacobian = _descend(problem, list(effects), slots, free, iterations)
+    fixed, near = list(held), list(effects)
+    if tried is not None and acts_within_a_joint(tried):
+        fixed += held_beside(effects, tried)
+        near = [e for e in problem.balances.beside(effects, tried) if e.effect.site is not Site.BODY]
+    free, linear = (
+        np.array([not any(effects[slot.effect] is e for e in some) for slot in slots], dtype=bool)
+        for some in (fixed, near)
+    )
+    point = _Point(list(effects), jacobian_of(problem, effects, slots), [list(effects)] * len(effects))
+    if np.any(free & linear):
+        point = _descend(problem, point, slots, free, iterations, linear=free & linear)
+    point = _descend(problem, point, slots, free, iterations)
+    bent: np.ndarray | float = 0.0
     if any(entangles(e) for e in effects):  # the columns of nominal numbers depend on the fitted values
-        problem = problem.about(current)
-        bent = _bent(problem, current, y)
-        current, y, jacobian = _descend(problem, current, slots, free, iterations, bent)
+        problem = problem.about(point.effects)
+        bent = _bent(problem, point.effects, problem.residual(point.effects))
+        point = _descend(problem, point, slots, free, iterations, bent)
+    current, y = point.effects, problem.residual(point.effects) + bent
+    # of numbers that are held derivatives are wanted in the end only
+    jacobian = _followed(problem, current, slots, point, np.ones(len(slots), dtype=bool)).jacobian
     judge = partial(_judged, problem, y, tuple(current), slots)
     return Fit(problem, tuple(_wrap(current)), judge, y, jacobian, slots)
 
@@ -136,7 +153,7 @@ def held_beside(effects: Sequence[Planned], tried: Planned) -> list[Planned]:
 def refit_without(result: Fit, effect: Planned) -> Fit:
     """The set without one of its effects, the others fitted again at the same noise level."""
     others = [e for e in result.effects if e is not effect]
-    return fit(result.problem, others, held=held_beside(others, effect))
+    return fit(result.problem, others, tried=effect)
 
 
 def _bent(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:
@@ -159,25 +176,51 @@ def _judged(problem: Problem, y: np.ndarray, effects: Sequence[Planned], slots: 
     return judged_energy(problem, y, effects) + _prior(problem, slots, effects)
 
 
+@dataclass(frozen=True)
+class _Point:
+    """Where a fit is."""
+
+    effects: list[Planned]
+    jacobian: np.ndarray  # (slots, samples)
+    taken: list[Sequence[Planned]]  # where each effect's columns were computed
+
+
 def _descend(
     problem: Problem,
-    current: list[Planned],
+    point: _Point,
     slots: Sequence[Slot],
     free: np.ndarray,
     iterations: int,
     bent: np.ndarray | float = 0.0,
-) -> tuple[list[Planned], np.ndarray, np.ndarray]:
-    """Effects at the nearest minimum of the energy in the slots that are free, the residual there and its
-    derivatives; `bent` (`_bent`) is added to all residuals."""
-    y = problem.residual(current) + bent
+    linear: np.ndarray | None = None,
+) -> _Point:
+    """The nearest minimum of the energy in the slots that are free; `bent` (`_bent`) is added to all
+    residuals. By numbers that are `linear` (bool) residuals change along the derivatives that they have at
+    the start."""
+    start, along = point.effects, point.jacobian
+    follows = free if linear is None else free & ~linear
+    kept = (
+        set()
+        if linear is None
+        else {slot.effect for slot, along_it in zip(slots, linear, strict=True) if along_it}
+    )
+
+    def residual(effects: Sequence[Planned]) -> np.ndarray:
+        anchored = [start[k] if k in kept else e for k, e in enumerate(effects)]
+        out = problem.residual(anchored) + bent
+        if linear is not None and kept:
+            moved = [slot.get(effects) - slot.get(start) for slot in slots]
+            out = out + np.where(linear, moved, 0.0) @ along
+        return np.asarray(out)
+
+    current = point.effects
+    y = residual(current)
     energy = problem.energy(y) + _prior(problem, slots, current)
     damping = 1e-3
-    taken: list[Sequence[Planned]] = [current] * len(current)  # where each effect's columns were
-    jacobian = jacobian_of(problem, current, slots)
     moving = [slot for slot, moves in zip(slots, free, strict=True) if moves]
     for _ in range(iterations if moving else 0):
         checkpoint()
-        normal, slope = normal_equations(problem, jacobian[free], y, moving, current)
+        normal, slope = normal_equations(problem, point.jacobian[free], y, moving, current)
         enough, better, failed = CONVERGED + 1e-6 * energy, False, np.inf
         while not better and damping < MOST_DAMPING:
             trial, promised = _step(current, moving, normal, slope, damping)
@@ -189,7 +232,7 @@ def _descend(
                     damping *= 10.0
                     continue
                 failed = promised
-            trial_y = problem.residual(trial) + bent
+            trial_y = residual(trial)
             trial_energy = problem.energy(trial_y) + _prior(problem, slots, trial)
             better = bool(np.isfinite(trial_energy)) and trial_energy < energy
             if not better:
@@ -199,12 +242,10 @@ def _descend(
         gained = energy - trial_energy
         current, y, energy = trial, trial_y, trial_energy
         damping = max(damping * 0.1, 1e-9)
-        jacobian, taken = _followed(problem, current, slots, jacobian, taken, free)
+        point = _followed(problem, current, slots, point, follows)
         if gained < enough:
             break
-    # of numbers that are held derivatives are wanted in the end only
-    jacobian, _ = _followed(problem, current, slots, jacobian, taken, np.ones(len(slots), dtype=bool))
-    return current, y, jacobian
+    return point
 
 
 def _step(
@@ -273,34 +314,33 @@ def _followed(
     problem: Problem,
     effects: Sequence[Planned],
     slots: Sequence[Slot],
-    jacobian: np.ndarray,
-    taken: Sequence[Sequence[Planned]],
+    point: _Point,
     wanted: np.ndarray,
-) -> tuple[np.ndarray, list[Sequence[Planned]]]:
-    """The derivatives of the slots that are `wanted` (bool) at the current values, and the values at which
-    those of each effect were computed. A derivative is computed again only if a number on which it depends
-    has changed by more than a little: with many causes, few have."""
+) -> _Point:
+    """The fit at the current values, with the derivatives there of the slots that are `wanted` (bool). A
+    derivative is computed again only if a number on which it depends has changed by more than a little: with
+    many causes, few have."""
     asked = {slot.effect for slot, want in zip(slots, wanted, strict=True) if want}
-    anew, at = np.zeros(len(effects), dtype=bool), list(taken)
-    for before in {id(one): one for one in taken}.values():
+    anew, at = np.zeros(len(effects), dtype=bool), list(point.taken)
+    for before in {id(one): one for one in point.taken}.values():
         far = {now.key for now, then in zip(effects, before, strict=True) if not _near(now, then)}
         for k in asked if far else ():
-            if taken[k] is before and any(e.key in far for e in _around(problem, effects, effects[k])):
+            if point.taken[k] is before and any(e.key in far for e in _around(problem, effects, effects[k])):
                 anew[k], at[k] = True, effects
     columns = [
         _column(problem, effects, slot) if anew[slot.effect] else row
-        for slot, row in zip(slots, jacobian, strict=True)
+        for slot, row in zip(slots, point.jacobian, strict=True)
     ]
-    return np.array(columns), at
+    return _Point(list(effects), np.array(columns), at)
 
 
 def _near(e: Planned, before: Planned) -> bool:
-    """Whether no number of an effect is far from what it was."""
+    """Whether no number of an effect is far from what it was; of a vector, for its size."""
     if e is before:
         return True
     for param in e.effect.params:
         now, then = (np.ravel(one.values[param.name]) for one in (e, before))
-        if np.any(np.abs(now - then) > NEAR * (1.0 if param.wraps else np.abs(then))):
+        if np.any(np.abs(now - then) > NEAR * (1.0 if param.wraps else np.max(np.abs(then)))):
             return False
     return True
 

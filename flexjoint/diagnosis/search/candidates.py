@@ -18,6 +18,8 @@ from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Effect, Parameter, Planned, Site, catalogue
 
 UNSEEN = 1e-12  # of the largest curvature: below it is rounding
+FARTHEST = 2.0  # weak prior deviations from the joint, of the places of a load that a search starts from
+PLACES = 11  # along each axis
 
 
 @dataclass(frozen=True)
@@ -256,12 +258,11 @@ def load_traces(problem: Problem, candidate: Candidate, y: np.ndarray) -> Iterat
     white, time = problem.whitening, problem.time
     moments = np.stack([white.white(problem.inertial_band(i, unit)) for unit in np.eye(10)])
     own = float(problem.motion.rigid.inertial[i, 0]) or 1.0
-    reach = float(np.linalg.norm(problem.motion.rigid.inertial[i, 1:4])) / own
     amplitude, shape = _load_params(candidate.effect)
     for share in problem.settings.search.later:
         later = time >= time[0] + share * (time[-1] - time[0])
         form = problem.normal((moments * later).reshape(10, -1), y)
-        mass, *place = _load(candidate, *form, own, reach, problem.settings.search)
+        mass, *place = _load(candidate, *form, own, problem.settings.search)
         mass = float(np.clip(mass, amplitude.low, amplitude.high))
         values = {amplitude.name: mass, shape.name: tuple(place)}
         band = problem.inertial_band(i, _inertial(candidate, np.array([mass, *place])))
@@ -285,11 +286,11 @@ def _load(
     curvature: np.ndarray,
     slope: np.ndarray,
     own: float,
-    reach: float,
     settings: SearchSettings,
 ) -> list[float]:
-    """Mass and place at which 2 slope pi + pi curvature pi is least, of a link of mass `own` whose centre is
-    at a distance `reach`; weak priors keep them near it."""
+    """Mass and place at which 2 slope pi + pi curvature pi is least, of a link of mass `own`; weak priors
+    keep them near it. There are several minima: the best places of a grid, each with its best mass, are where
+    a positive and a negative one start."""
     # as a sum of squares, a constant aside; what is not seen has no part in it
     seen, axes = np.linalg.eigh(curvature)
     root = np.sqrt(seen[seen > UNSEEN * seen[-1]])
@@ -305,8 +306,15 @@ def _load(
         return np.concatenate([rows @ steps, np.diag(1.0 / spread)])
 
     best, least = np.zeros(4), np.inf
-    for axis in np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))]):
-        start = np.concatenate([[0.2 * own], (reach + 0.1) * axis])
+    axis = np.linspace(-FARTHEST, FARTHEST, PLACES) * settings.reach
+    places = np.array(np.meshgrid(axis, axis, axis)).reshape(3, -1)
+    unit = rows @ _inertial(candidate, np.concatenate([np.ones((1, places.shape[1])), places]))
+    size = np.sum(unit**2, axis=0) + 1.0 / spread[0] ** 2
+    masses = -(target @ unit) / size
+    gains = masses**2 * size - np.sum((places / spread[1:, None]) ** 2, axis=0)
+    for sign in (1.0, -1.0):
+        k = int(np.argmax(np.where(np.sign(masses) == sign, gains, -np.inf)))
+        start = np.concatenate([masses[k : k + 1], places[:, k]])
         found = least_squares(misfit, start, change, method="lm", x_scale="jac", max_nfev=300)
         if found.cost < least:
             best, least = found.x, float(found.cost)

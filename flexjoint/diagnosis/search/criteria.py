@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, fit, held_beside, refit_without, shifts
+from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS, NominalNumber
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.effects import Kind, Parameter, Planned, Site, catalogue
@@ -60,11 +60,10 @@ def unexplained_energy(result: Fit) -> float:
 def at_own_level(result: Fit, tried: Planned | None = None) -> Fit:
     """The set fitted again at the noise level that it leaves itself. Where one of its effects is `tried`,
     those that share no balance with it keep their numbers."""
-    held = () if tried is None else held_beside(result.effects, tried)
     for _ in range(LEVEL_ROUNDS):
         last = result.problem
         problem = last.at(last.plausible_level(result.y))
-        result = fit(problem, result.effects, held=[e for e in result.effects if _kept(e, held)])
+        result = fit(problem, result.effects, tried=tried)
         if same_level(problem.level, last.level):
             break
     return result
@@ -73,10 +72,6 @@ def at_own_level(result: Fit, tried: Planned | None = None) -> Fit:
 def same_level(one: NoiseLevel, other: NoiseLevel) -> bool:
     """Whether the noise of all balances is nearly the same at two levels."""
     return bool(np.all(np.abs(np.log(one.inflation / other.inflation)) < SAME_LEVEL))
-
-
-def _kept(effect: Planned, held: Sequence[Planned]) -> bool:
-    return any(effect.key == other.key for other in held)
 
 
 def degenerate(problem: Problem, planned: Planned) -> bool:
@@ -186,10 +181,12 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
     if beside:
         # what the other causes on the joint explain is known only up to the error of the method, and a new
         # effect may fit that error; one that leaves next to nothing does not
-        others = [e for e in trial.effects if e not in beside]
-        alone = fit(trial.problem, others, held=held_beside(others, added))
-        if gained < _method_error(trial, gained) * (alone.energy - trial.energy):
-            return False
+        others, error = [e for e in trial.effects if e not in beside], _method_error(trial, gained)
+        most = trial.problem.energy(trial.problem.residual(others))  # fitted without them, it is no more
+        if gained < error * (most - trial.energy):
+            alone = fit(trial.problem, others, tried=added)
+            if gained < error * (alone.energy - trial.energy):
+                return False
     if contradicted(trial, without):
         return False
     seen = shown_by_motion(trial, gained, added) and material(trial, added, gained)

@@ -197,7 +197,7 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
     """Add causes one by one, as long as the data support another one; sets that were seen are not tried
     again."""
     standing: dict[Key, frozenset[Key]] = {}  # effects that were found supported, and what was beside them
-    rubs = False  # with ordinary friction on several joints
+    rubbed: frozenset[Key] | None = None  # the loads beside which ordinary friction was looked for
     while len(found.best.effects) < most_effects(found.best.problem) and search.goes_on():
         best = found.best
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
@@ -206,9 +206,10 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
             best = found.best = at_own_level(bare)
         both = search.scanner.scans([best] if bare is None else [best, bare], search.pool)
         found.scans.append(both[0])
-        common = None if best.effects else with_ordinary(best, both[0], search.pool)
-        if common is not None:
-            rubs = True
+        loads = frozenset(e.key for e in best.effects if e.effect.site is Site.BODY)
+        common = None if rubbed == loads else with_ordinary(best, both[0], search.pool)
+        rubbed = loads
+        if common is not None and _keys(common) not in found.seen:
             found.takes(common, "ordinary friction", COMMON)
             found.seen.add(_keys(common))
             continue
@@ -219,8 +220,6 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
         if grown is None:
             break
         grown = _with_other_joints(grown, wider, larger, search.pool)
-        if rubs and grown.effects[-1].effect.site is Site.BODY:
-            grown = _with_missing(grown, both[0])
         pruned = prune(grown, search.pool, standing)
         if _keys(pruned) in found.seen:  # it would lead there again
             return
@@ -243,43 +242,37 @@ def _larger(best: Fit, both: Sequence[tuple[Scored, ...]], bare: Fit | None, sea
     return larger
 
 
-def with_ordinary(nothing: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> Fit | None:
-    """The set of ordinary frictions (`Effect.ordinary`) that the data support on the joints of which they
-    take most of the error; None where there are not several of these. Every machine has more or less friction
-    than its nominal model: on a real arm it is wrong on all joints at once, and each other cause is seen
-    beside it only."""
-    ordinary = [replace(s, since=None).planned() for s in scanned if s.candidate.effect.ordinary]
+def with_ordinary(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> Fit | None:
+    """The set with those ordinary frictions (`Effect.ordinary`) that the data support on the joints of which
+    they take most of the error; None where there are not several of these. Every machine has more or less
+    friction than its nominal model: on a real arm it is wrong on all joints at once, and each other cause is
+    seen beside it only, unless it is a load that hides it."""
+    have = {(name, e.joint) for e in best.effects for name in (e.effect.name, *e.effect.contains)}
+    ordinary = [
+        replace(s, since=None).planned()
+        for s in scanned
+        if s.candidate.effect.ordinary and s.candidate.key not in have
+    ]
     if not ordinary:
         return None
-    problem, names = nothing.problem, nothing.problem.robot.joint_names
-    rubbing = at_own_level(fit(problem, ordinary))
-    before, after = (problem.variances(one.y) for one in (nothing, rubbing))
-    share = nothing.settings.search.ordinary_share**2
+    problem, names = best.problem, best.problem.robot.joint_names
+    rubbing = at_own_level(fit(problem, [*best.effects, *ordinary]))
+    before, after = (problem.variances(one.y) for one in (best, rubbing))
+    share = best.settings.search.ordinary_share**2
     joints = {
         names[row.joint]
         for row, b, a in zip(problem.balances.rows, before, after, strict=True)
         if a < share * b
     }
-    kept = [e for e in rubbing.effects if e.joint in joints]
     if len(joints) <= 1:
         return None
-    if len(kept) < len(ordinary):
+    older = _keys(best)
+    kept = [e for e in rubbing.effects if e.key in older or e.joint in joints]
+    if len(kept) < len(rubbing.effects):
         rubbing = at_own_level(fit(problem, kept))
     left = prune(rubbing, pool)
-    several = len({e.joint for e in left.effects}) > 1
-    return left if several and score(left) < score(fit(left.problem, [])) else None
-
-
-def _with_missing(grown: Fit, scanned: Sequence[Scored]) -> Fit:
-    """The set with ordinary friction on all joints that have none: beside a load that was found it is seen
-    where it was not before."""
-    taken, have = _keys(grown), {(name, e.joint) for e in grown.effects for name in e.effect.contains}
-    missing = [s for s in scanned if s.candidate.effect.ordinary and s.candidate.key not in taken | have]
-    if not missing:
-        return grown
-    return at_own_level(
-        fit(grown.problem, [*grown.effects, *(replace(s, since=None).planned() for s in missing)])
-    )
+    several = len({e.joint for e in left.effects if e.key not in older}) > 1
+    return left if several and score(left) < score(fit(left.problem, best.effects)) else None
 
 
 def _with_other_joints(grown: Fit, found: Sequence[Fit], larger: Sequence[Fit], pool: WorkerPool) -> Fit:
@@ -413,9 +406,8 @@ def _rivals_of(search: Search, result: Fit, replaced: Planned) -> tuple[Fit, lis
     if replaced.effect.ordinary and _rubs_all_over(result):
         scanned = tuple(s for s in scanned if _ordinary_too(s.candidate.effect, replaced.effect))
     needed = _needed(without.energy - result.energy, scanned, key)
-    tried = polish(without, scanned, needed, search.pool)
-    fits = [f for f in tried if f.effects[-1].key != key]
-    fits = [f for f in fits if not (contradicted(f, without) or stands_in(f, f.effects[-1]))]
+    tried = polish(without, scanned, needed, search.pool, key)
+    fits = [f for f in tried if not (contradicted(f, without) or stands_in(f, f.effects[-1]))]
     fits += [alone for more in search.pool.map(_containing, [(f, key[0]) for f in fits]) for alone in more]
     return result, fits
 

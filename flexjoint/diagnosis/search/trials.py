@@ -12,7 +12,7 @@ import numpy as np
 from flexjoint.core.running.budget import Budget, within
 from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, held_beside
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
@@ -105,7 +105,7 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
     levels = bare.problem.variances(above.y)
     if not np.any(levels[marked] > above.settings.regression.noise_decides):
         return above
-    below = fit(bare.problem, above.effects, held=held_beside(above.effects[:-1], above.effects[-1]))
+    below = fit(bare.problem, above.effects, tried=above.effects[-1])
     if degenerate(below.problem, below.effects[-1]):
         return above
     lower = _cleared(best, bare.problem.variances(below.y), marked) > _cleared(best, levels, marked)
@@ -268,7 +268,7 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     )
     if not relieved and not _clears(best, levels, _marked(refitted, 1)):
         return None
-    without = fit(refitted.problem, best.effects, held=held_beside(best.effects, trial.effects[-1]))
+    without = fit(refitted.problem, best.effects, tried=trial.effects[-1])
     better = supported(refitted, without, refitted.effects[-1]) and not only_by_implausible(refitted, best)
     return refitted if better else None
 
@@ -344,9 +344,13 @@ def might_matter(current: Fit, scored: Scored) -> bool:
     return bool(np.max(shares) >= limits.unfitted * current.problem.robot.tolerance.torque)
 
 
-def polish(current: Fit, scanned: Sequence[Scored], needed: float, pool: WorkerPool) -> list[Fit]:
-    """The most promising candidates fitted together with the current set, and dated."""
-    fits = pool.map(_polished, [(current, scored) for scored in promising(current, scanned, needed)])
+def polish(
+    current: Fit, scanned: Sequence[Scored], needed: float, pool: WorkerPool, but: tuple[str, str | None]
+) -> list[Fit]:
+    """The most promising candidates fitted together with the current set, and dated; all `but` the one with
+    that key, in whose place they are tried."""
+    others = [s for s in promising(current, scanned, needed) if s.candidate.key != but]
+    fits = pool.map(_polished, [(current, scored) for scored in others])
     return [f for f in fits if f is not None]
 
 
@@ -363,8 +367,7 @@ def added_to(current: Fit, scored: Scored) -> Fit | None:
     """A set with a candidate added, fitted and dated, causes within other joints as they are; None where its
     fitted numbers mean nothing (`degenerate`)."""
     planned = scored.planned()
-    held = held_beside(current.effects, planned)
-    fitted = date_onset(fit(current.problem, [*current.effects, planned], held=held))
+    fitted = date_onset(fit(current.problem, [*current.effects, planned], tried=planned))
     return None if degenerate(current.problem, fitted.effects[-1]) else fitted
 
 
@@ -375,13 +378,12 @@ def date_onset(result: Fit) -> Fit:
     if added.since is None:
         return result
     problem, limits = result.problem, result.settings.search
-    held = held_beside(result.effects[:-1], added)
-    always = fit(problem, [*result.effects[:-1], replace(added, since=None)], held=held)
+    always = fit(problem, [*result.effects[:-1], replace(added, since=None)], tried=added)
     for steps in limits.onset_steps:
         moved = _moved_onset(result, steps)
         if moved != result.effects[-1].since:
             later = replace(result.effects[-1], since=moved)
-            trial = fit(problem, [*result.effects[:-1], later], held=held)
+            trial = fit(problem, [*result.effects[:-1], later], tried=added)
             if trial.energy < result.energy:
                 result = trial
     end, since = float(problem.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)

@@ -137,8 +137,11 @@ THREE = (
 
 def test_kept_derivatives_lead_to_the_same_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = fit(problem(), THREE)
-    taken, every = [kept.effects] * 3, np.ones(3, dtype=bool)
-    made = len(fitting._followed(kept.problem, kept.effects, kept.slots, kept.tangents, taken, every)[0])
+    point, every = (
+        fitting._Point(list(kept.effects), kept.tangents, [kept.effects] * 3),
+        np.ones(3, dtype=bool),
+    )
+    made = len(fitting._followed(kept.problem, kept.effects, kept.slots, point, every).jacobian)
     monkeypatch.setattr(fitting, "NEAR", 0.0)
     anew = fit(problem.__wrapped__(), THREE)
     assert made == len(kept.slots) == 3
@@ -155,15 +158,14 @@ def test_only_derivatives_that_are_wanted_are_followed() -> None:
     moved = [e.with_values({name: 2.0 * value for name, value in e.values.items()}) for e in kept.effects]
     wanted = np.array([True, False, False])
 
-    columns, taken = fitting._followed(
-        kept.problem, moved, kept.slots, kept.tangents, [kept.effects] * 3, wanted
-    )
+    point = fitting._Point(list(kept.effects), kept.tangents, [kept.effects] * 3)
+    there = fitting._followed(kept.problem, moved, kept.slots, point, wanted)
 
-    changed = [not np.array_equal(a, b) for a, b in zip(columns, kept.tangents, strict=True)]
+    changed = [not np.array_equal(a, b) for a, b in zip(there.jacobian, kept.tangents, strict=True)]
     assert changed == [True, False, False]
-    assert [at is moved for at in taken] == changed
-    later, _ = fitting._followed(kept.problem, moved, kept.slots, columns, taken, np.ones(3, dtype=bool))
-    assert np.array_equal(later, fitting.jacobian_of(kept.problem, moved, kept.slots))
+    assert [at is moved for at in there.taken] == changed
+    later = fitting._followed(kept.problem, moved, kept.slots, there, np.ones(3, dtype=bool))
+    assert np.array_equal(later.jacobian, fitting.jacobian_of(kept.problem, moved, kept.slots))
 
 
 def test_a_derivative_depends_on_the_effects_of_its_joint() -> None:

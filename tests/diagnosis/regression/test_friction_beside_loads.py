@@ -275,6 +275,48 @@ def test_what_acts_within_joints_enters_on_all_of_them_at_once() -> None:
     assert {("motor_coulomb_friction", joint) for joint in FRICTION} <= {e.key for e in common.effects}
 
 
+def test_a_load_that_hides_friction_is_found_first() -> None:
+    """Beside 20 times the load, friction takes little of the error of any joint, and most beside the load."""
+    here = made(
+        [Planted("payload", "elbow", {"mass": 15.0, "position": [0.02, 0.0, -0.4]}), *PLANTED[1:]], 0.0
+    )
+    candidates = [c for c in enumerate_candidates(here) if c.effect.ordinary]
+    with worker_pool([], 1) as pool:
+        nothing = at_own_level(fit(here, []))
+        assert with_ordinary(nothing, Scanner(candidates).scan(nothing), pool) is None
+        loaded = at_own_level(fit(here, [effect("payload", "elbow", mass=15.0, position=(0.02, 0.0, -0.4))]))
+        common = with_ordinary(loaded, Scanner(candidates).scan(loaded), pool)
+    assert common is not None
+    assert {e.key for e in common.effects} >= {e.key for e in ASSUMED}
+
+
+def test_a_load_moves_along_its_derivatives_where_a_joint_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit with one joint's friction ends where a fit does that evaluates all joints for each step."""
+    payload, shoulder, elbow = ASSUMED
+    here = problem()
+    current = fit(here, [payload, shoulder])
+    begun = [*current.effects, elbow.with_values({"level": 1.0})]
+    places: list[object] = []
+    evaluated = Problem.residual
+
+    def residual(self: Problem, effects: Sequence[Planned]) -> np.ndarray:
+        places.append(effects[0].values["position"] if effects else None)
+        return evaluated(self, effects)
+
+    monkeypatch.setattr(Problem, "residual", residual)
+    all_joints = fit(here, begun, held=[begun[1]])
+    moved = len(set(places))
+    places.clear()
+    one_joint = fit(here, begun, tried=begun[2])
+    assert one_joint.effects[1] is begun[1]
+    assert 1 < len(set(places)) < moved
+    # derivatives are kept where numbers move by little, so that both end near the optimum and not on it
+    assert one_joint.energy == pytest.approx(all_joints.energy, abs=here.settings.search.chance)
+    assert one_joint.energy < fit(here, current.effects).energy - 1000.0
+    for slot in all_joints.slots[:5]:
+        assert slot.get(one_joint.effects) == pytest.approx(slot.get(all_joints.effects), rel=1e-2, abs=1e-3)
+
+
 def test_what_one_joint_lacks_is_no_common_friction() -> None:
     here = problem()
     nothing = at_own_level(fit(here, []))

@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import islice
 
-from flexjoint.diagnosis.regression.fit import Fit, fit, held_beside
+from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Estimation, Finding
 from flexjoint.diagnosis.settings import Settings
@@ -41,23 +41,20 @@ def leaves_less(best: Fit, planned: Planned) -> bool:
         return False
     seen = unseen_problem(best.problem)
     others = [e for e in best.effects if e.key != planned.key]
-    held = held_beside(others, planned)
-    law = _left(seen, [*others, planned], held, planned.joint)
+    law = _left(seen, [*others, planned], planned, planned.joint)
     within = best.settings.verdict.better_without
     for simple in (one for name in planned.effect.contains for one in planned.special_cases(name)):
         if any(e.key == simple.key for e in others):
             continue
-        simpler = _left(seen, [*others, simple], held, planned.joint)
+        simpler = _left(seen, [*others, simple], planned, planned.joint)
         if all(now >= within * then for now, then in zip(law, simpler, strict=True)):
             return False
     return True
 
 
-def _left(
-    seen: Problem, effects: Sequence[Planned], held: Sequence[Planned], joint: str
-) -> tuple[float, ...]:
+def _left(seen: Problem, effects: Sequence[Planned], tried: Planned, joint: str) -> tuple[float, ...]:
     """[N m] of a joint, and of each of its balances, where the fit did not look."""
-    total, balances = joint_left(fit(seen, effects, held=held), joint)
+    total, balances = joint_left(fit(seen, effects, tried=tried), joint)
     return total, *balances
 
 
