@@ -198,20 +198,15 @@ def _descend(
     residuals. By numbers that are `linear` (bool) residuals change along the derivatives that they have at
     the start."""
     start, along = point.effects, point.jacobian
-    follows = free if linear is None else free & ~linear
-    kept = (
-        set()
-        if linear is None
-        else {slot.effect for slot, along_it in zip(slots, linear, strict=True) if along_it}
-    )
+    linear = np.zeros(len(slots), dtype=bool) if linear is None else linear
+    kept = {slot.effect for slot, follows in zip(slots, linear, strict=True) if follows}
 
     def residual(effects: Sequence[Planned]) -> np.ndarray:
-        anchored = [start[k] if k in kept else e for k, e in enumerate(effects)]
-        out = problem.residual(anchored) + bent
-        if linear is not None and kept:
-            moved = [slot.get(effects) - slot.get(start) for slot in slots]
-            out = out + np.where(linear, moved, 0.0) @ along
-        return np.asarray(out)
+        y = problem.residual([start[k] if k in kept else e for k, e in enumerate(effects)]) + bent
+        if not kept:
+            return np.asarray(y)
+        moved = [slot.get(effects) - slot.get(start) for slot in slots]
+        return np.asarray(y + np.where(linear, moved, 0.0) @ along)
 
     current = point.effects
     y = residual(current)
@@ -242,7 +237,7 @@ def _descend(
         gained = energy - trial_energy
         current, y, energy = trial, trial_y, trial_energy
         damping = max(damping * 0.1, 1e-9)
-        point = _followed(problem, current, slots, point, follows)
+        point = _followed(problem, current, slots, point, free & ~linear)
         if gained < enough:
             break
     return point

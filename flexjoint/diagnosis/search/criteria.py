@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from flexjoint.diagnosis.regression.deviations import judged_energy
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS, NominalNumber
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
@@ -182,7 +183,8 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
         # what the other causes on the joint explain is known only up to the error of the method, and a new
         # effect may fit that error; one that leaves next to nothing does not
         others, error = [e for e in trial.effects if e not in beside], _method_error(trial, gained)
-        most = trial.problem.energy(trial.problem.residual(others))  # fitted without them, it is no more
+        # fitted, the set without them leaves no more than with the numbers that it has
+        most = judged_energy(trial.problem, trial.problem.residual(others), others)
         if gained < error * (most - trial.energy):
             alone = fit(trial.problem, others, tried=added)
             if gained < error * (alone.energy - trial.energy):

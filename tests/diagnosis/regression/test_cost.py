@@ -137,10 +137,8 @@ THREE = (
 
 def test_kept_derivatives_lead_to_the_same_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = fit(problem(), THREE)
-    point, every = (
-        fitting._Point(list(kept.effects), kept.tangents, [kept.effects] * 3),
-        np.ones(3, dtype=bool),
-    )
+    point = fitting._Point(list(kept.effects), kept.tangents, [kept.effects] * 3)
+    every = np.ones(3, dtype=bool)
     made = len(fitting._followed(kept.problem, kept.effects, kept.slots, point, every).jacobian)
     monkeypatch.setattr(fitting, "NEAR", 0.0)
     anew = fit(problem.__wrapped__(), THREE)
