@@ -542,10 +542,10 @@ class SearchSettings(Stage):
         "theory: three standard deviations",
     )
     between_samples: float = number(
-        0.1,
-        "sampling periods",
+        0.5,
+        "times between samples without a recorded command",
         "below which a shift of a command is none beside another cause of timing",
-        "study: drawn 293, a 27th of a sample",
+        "theory: when a command changed in between is known no better",
     )
     at_bound: float = number(
         0.1, "relative distance", "from a bound, within which a number counts as at it", "judgement"

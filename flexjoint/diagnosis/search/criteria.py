@@ -229,16 +229,19 @@ def stands_in(trial: Fit, added: Planned) -> bool:
 
 
 def _between_samples(trial: Fit, added: Planned) -> bool:
-    """Whether an effect shifts a command in time by a small part of a sample, beside another cause of timing
-    on its joint. What a command does between two samples is not recorded; a lag smooths it and a delay does
-    not, so that the two together can imitate a shift that is not there."""
+    """Whether an effect shifts a command in time by a part of the time between two recorded ones in which the
+    controller gave others, beside another cause of timing on its joint. When these changed is not known; a
+    lag smooths a command and a delay does not, so that the two together can imitate a shift that is not
+    there."""
     shifts_time = added.effect.kind is Kind.TIMING and added.effect.site is Site.COMMAND
     if not shifts_time or not any(
         e is not added and e.joint == added.joint and e.effect.kind is Kind.TIMING for e in trial.effects
     ):
         return False
     longest = max(abs(added.values[p.name]) for p in added.effect.params if p.unit == "s")
-    return bool(longest < trial.settings.search.between_samples * trial.problem.readings.period)
+    problem = trial.problem
+    unrecorded = problem.readings.period - 1.0 / problem.robot.rates.control
+    return bool(longest < trial.settings.search.between_samples * unrecorded)
 
 
 def needs_implausible(trial: Fit, other: Fit) -> bool:

@@ -20,6 +20,7 @@ from flexjoint.diagnosis.result import Estimation, Finding, Fitted
 from flexjoint.diagnosis.search import criteria, trials
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
 from flexjoint.diagnosis.search.criteria import (
+    _between_samples,
     _left_beside,
     at_own_level,
     contradicted,
@@ -451,3 +452,23 @@ def test_a_friction_must_show_where_its_joint_slides() -> None:
     assert gained[0] > USUAL.search.price
     assert sliding[0] < 0.0 < limit < sliding[1]
     assert named == [False, True]
+
+
+def test_a_delay_beside_a_lag_is_told_from_commands_that_were_not_recorded() -> None:
+    """Of commands at 1 kHz every second is recorded: when they changed is known to half of 1 ms."""
+    lever, recorded = nominal("lever"), as_recording(Case("lever", "rich", 3).with_causes())
+    lag = effect("current_lag", "swing", time_constant=4e-3)
+
+    def unrecorded(delay: float, control: float, *beside: Planned) -> bool:
+        rates = lever.rates.model_copy(update={"control": control})
+        robot = replace(lever, rates=rates)
+        trial = fit(
+            Problem(balances_of(robot, recorded)),
+            [*beside, effect("torque_delay", "swing", delay=delay)],
+            iterations=0,
+        )
+        return _between_samples(trial, trial.effects[-1])
+
+    assert [unrecorded(delay, 1000.0, lag) for delay in (3e-4, 7e-4)] == [True, False]
+    assert not unrecorded(3e-4, 1000.0), "alone it is no matter of two causes"
+    assert not unrecorded(3e-4, 500.0, lag), "all commands are recorded"
