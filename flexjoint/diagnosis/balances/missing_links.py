@@ -10,7 +10,7 @@ the equations of the links, linear about the nominal motion:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -82,6 +82,28 @@ class MissingLinks:
             return []
         still = np.zeros((len(self._driven), self._motion.filter.count))
         return [self._added(self._by_load(still, start)) for start in self._starts]
+
+    def swing(self, series: Mapping[int, np.ndarray]) -> tuple[np.ndarray, float]:
+        """(2 k,) by how much the links start elsewhere [rad], and faster [rad/s], so that they leave least of
+        the motors' balances `series` (N,), by joint, and the share of these that is then taken away: a link
+        that swings at the start swings on at a frequency of its own. A start that is off by more than the
+        deflection's RMS is unlikely."""
+        own = [i for i in self._driven if i in series]
+        used, filtered = self._motion.readings.valid, self._motion.filter.smooth
+        left = np.array([series[i][used] for i in own])
+        size = np.sqrt(np.mean(left**2, axis=1, keepdims=True)) + 1e-300
+        still = np.zeros((len(self._driven), self._motion.filter.count))
+        starts = [start / FREE for start in self._starts]
+        columns = []
+        for start in starts:
+            moved = dict(self._by_load(still, start))
+            drives = [self._motion.robot.joints[i].drive for i in own]
+            torque = [filtered(d.K * moved[i].q + d.D * moved[i].v) for d, i in zip(drives, own, strict=True)]
+            columns.append((np.array(torque)[:, used] / size).ravel())
+        by_start, y = np.array(columns), (left / size).ravel()
+        pull = by_start @ y
+        share = np.linalg.solve(by_start @ by_start.T + np.eye(len(starts)), -pull)
+        return np.asarray(share @ np.array(starts)), float(-share @ pull / (y @ y))
 
     def _added(self, movements: Sequence[tuple[int, Movement]]) -> dict[int, np.ndarray]:
         """(N,) by row, what movements of links add to the balances, beyond those in the mean posture."""

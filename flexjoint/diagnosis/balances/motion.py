@@ -180,10 +180,16 @@ class Motion:
 
 
 def reconstruct(
-    robot: Robot, readings: Readings, recording: Recording, deviations: Sequence[Planned] = ()
+    robot: Robot,
+    readings: Readings,
+    recording: Recording,
+    deviations: Sequence[Planned] = (),
+    start: np.ndarray | None = None,
 ) -> Motion:
     """The motion; an angle without a sensor comes from the nominal model, or with deviations of its numbers,
     as the point about which the balances are linear. It carries no information of its own (whitening.py).
+    Links that only their motors tell of start where they rest, or by `start` (2 k,) elsewhere [rad], and as
+    fast [rad/s].
 
     Raises RecordingError for a floating base, a passive joint that was not measured, or a joint without
     any position.
@@ -197,7 +203,7 @@ def reconstruct(
     passive = _passive(robot, readings, recording)
     if missing:
         links = _Links.of(robot, deviations)
-        _complete(robot, links, readings, window, q, theta, missing, passive)
+        _complete(robot, links, readings, window, q, theta, missing, passive, start)
     rigid = along(robot, window, q, passive)
     return Motion(robot, readings, window, q, theta, tuple(missing), rigid, passive)
 
@@ -273,6 +279,7 @@ def _complete(
     theta: np.ndarray,
     missing: Sequence[tuple[str, int]],
     passive: dict[str, np.ndarray],
+    start: np.ndarray | None,
 ) -> None:
     """Fill in phi of joints with one encoder, in place: from tau_t where measured, (D s + K) phi = tau_t;
     without a motor encoder from the link, (D s + K) phi = RNEA(q); without a link encoder from the link's
@@ -289,7 +296,8 @@ def _complete(
         else:
             theta[i] = q[i] + phi
     if driven:
-        _driven_links(robot, links, window, q, theta, driven, passive)
+        moved = np.zeros(2 * len(driven)) if start is None else start
+        _driven_links(robot, links, window, q, theta, driven, passive, moved)
     if from_link:
         tau = along(robot, window, q, passive).tau
         for i in from_link:
@@ -305,6 +313,7 @@ def _driven_links(
     theta: np.ndarray,
     joints: list[int],
     passive: dict[str, np.ndarray],
+    start: np.ndarray,
 ) -> None:
     """Links without encoder, driven by their measured motors through the nominal spring, in place: linearly
     implicit midpoint steps on M q'' + nle = K (theta - q) + D (theta' - q'), the other links as measured.
@@ -319,10 +328,12 @@ def _driven_links(
         _columns([getattr(robot.joints[i], k) for i in joints]) for k in ("idx_q", "idx_v")
     )
     rows = columns_v if isinstance(columns_v, slice) else columns_v[:, None]
-    place, speed = theta[joints, 0].copy(), np.zeros(len(joints))
+    place = theta[joints, 0].copy()
     for _ in range(5):  # start from where the spring carries the load at rest
         at[0, columns_q] = place
         place = theta[joints, 0] - body.gravity_torque(at[0])[columns_v] / stiff
+    elsewhere, speed = np.split(start, 2)
+    place = place + elsewhere
     give = 0.5 * h * stiff + damp
     added = np.diag(0.5 * h * give)
     # ten thousand steps of a few numbers each: what a step need not do shows

@@ -18,7 +18,8 @@ from flexjoint.diagnosis.regression.nuisance import as_effects
 from flexjoint.diagnosis.regression.problem import REMEMBERED, Problem
 from flexjoint.effects import Planned, Site
 
-LINK_ROUNDS = 5  # at most, in which unmeasured links are put where the likely numbers have them
+LINK_ROUNDS = 12  # at most, in which unmeasured links are put where the likely numbers have them
+SWINGS = 0.1  # share of the motors' squared balances, from which links are taken to swing at the start
 MOST_HALVINGS = 6  # of a step that raises the energy
 MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
 CONVERGED = 0.1  # a step gains, or promises, less than this energy
@@ -47,23 +48,38 @@ def about_likely_links(problem: Problem) -> Problem:
     of a number makes four times the error of that. The problem itself, where there are none."""
     if not problem.balances.missing_links:
         return problem
-    motions = (problem.motion, problem.balances.denoised.motion)
-    robot, recording = problem.robot, problem.readings.recording
-    best, least = problem, problem.energy(problem.residual([]))
-    claimed = {e.key for e in problem.nominal}  # effects move no link here
+    best, start = problem, np.zeros(0)
+    least, claimed = problem.energy(problem.residual([])), {e.key for e in problem.nominal}
     for _ in range(LINK_ROUNDS):
         y = best.residual([])
-        deviations = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
-        numbers = [e for e in deviations if e.key not in claimed]
-        moved = [reconstruct(robot, m.readings, recording, numbers) for m in motions]
-        if not all(np.isfinite(m.q).all() for m in moved):  # such numbers may make no mechanism
+        likely = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
+        swing, share = _swing(best, likely)
+        start = start if start.size else np.zeros_like(swing)
+        numbers = [e for e in likely if e.key not in claimed]  # effects move no link here
+        starts = [start] if share < SWINGS else [start, start + swing]
+        trials = [(trial, there) for there in starts for trial in _along(problem, numbers, there)]
+        energies = [trial.energy(trial.residual([])) for trial, _ in trials]
+        if not trials or min(energies) > least - CONVERGED:
             break
-        trial = Problem(TwinBalances(*moved))
-        energy = trial.energy(trial.residual([]))
-        if energy > least - CONVERGED:
-            break
-        best, least = trial, energy
+        (best, start), least = trials[int(np.argmin(energies))], min(energies)
     return best
+
+
+def _swing(problem: Problem, effects: Sequence[Planned]) -> tuple[np.ndarray, float]:
+    """`MissingLinks.swing` beside some effects."""
+    balances = problem.balances
+    series = balances.time_series(balances.residual(problem.with_nominal(effects)))
+    return balances.missing_links.swing(
+        {row.joint: series[r] for r, row in enumerate(balances.rows) if row.balance == MOTOR}
+    )
+
+
+def _along(problem: Problem, numbers: Sequence[Planned], start: np.ndarray) -> list[Problem]:
+    """The problem with the links where these numbers put them; none where they make no mechanism."""
+    robot, recording = problem.robot, problem.readings.recording
+    motions = (problem.motion, problem.balances.denoised.motion)
+    moved = [reconstruct(robot, m.readings, recording, numbers, start) for m in motions]
+    return [Problem(TwinBalances(*moved))] if all(np.isfinite(m.q).all() for m in moved) else []
 
 
 def converged_deviations(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:

@@ -46,11 +46,12 @@ def prices(result: Fit) -> list[float]:
 
 def score(result: Fit) -> float:
     """Energy plus price: of two sets, the one with the lower score is better."""
-    limits = result.settings.search
-    reconstructed = limits.price_reconstructed if result.problem.motion.missing else 0.0
+    limits, problem = result.settings.search, result.problem
+    # a nominal number does as much within its tolerance, along the same positions
+    others = sum(own_number(problem, e) is None for e in result.effects) if problem.motion.missing else 0
     # the more joints, the more candidates, and the better the best of them fits by chance
-    chance = limits.price_candidates * float(np.log(len(result.problem.robot.joints)))
-    return result.energy + price(result) + (reconstructed + chance) * len(result.effects)
+    chance = limits.price_candidates * float(np.log(len(problem.robot.joints)))
+    return result.energy + price(result) + limits.price_reconstructed * others + chance * len(result.effects)
 
 
 def unexplained_energy(result: Fit) -> float:

@@ -472,3 +472,23 @@ def test_a_delay_beside_a_lag_is_told_from_commands_that_were_not_recorded() -> 
     assert [unrecorded(delay, 1000.0, lag) for delay in (3e-4, 7e-4)] == [True, False]
     assert not unrecorded(3e-4, 1000.0), "alone it is no matter of two causes"
     assert not unrecorded(3e-4, 500.0, lag), "all commands are recorded"
+
+
+def test_a_nominal_number_costs_no_more_where_a_position_is_reconstructed() -> None:
+    """Within its tolerance it does the same along the same positions: what these lack is no reason to take a
+    friction that is six tolerances off for one within them."""
+    problem = Problem(
+        balances_of(nominal("turret"), as_recording(Case("turret", "rich", 3, "motor_only").with_causes()))
+    )
+    (offset, friction) = (
+        fit(problem, [e], iterations=0)
+        for e in (
+            effect("torque_offset", "turn", offset=1.0),
+            effect("motor_viscous_friction", "turn", coefficient=1.0),
+        )
+    )
+    assert problem.motion.missing
+    assert score(friction) - friction.energy == pytest.approx(USUAL.search.price_nominal)
+    assert score(offset) - offset.energy == pytest.approx(
+        USUAL.search.price + USUAL.search.price_reconstructed
+    )
