@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from flexjoint.diagnosis.balances.motion import Motion
+from flexjoint.diagnosis.balances.motion import Links, Motion
 
 FREE = 100.0  # times its RMS, a deflection that nothing prevents
 GROWN = 1e3  # times a start, in rad or rad/s, from which a movement does not settle
@@ -36,9 +36,13 @@ class MissingLinks:
     """The links of a motion that have neither encoder nor torque sensor. (A torque sensor tells of a link by
     itself, and its own errors would move it.)"""
 
-    def __init__(self, motion: Motion, loaded: dict[int, int]) -> None:
-        """`loaded` is the row, by joint, of the balance that carries the link's load."""
+    def __init__(self, motion: Motion, loaded: Mapping[int, int], links: Links | None = None) -> None:
+        """`loaded` is the row, by joint, of the balance that carries the link's load. `links` are the numbers
+        by which they move, nominal ones without."""
         self._motion, self._loaded = motion, loaded
+        joints = motion.robot.joints
+        self._drives = [joint.drive for joint in joints] if links is None else list(links.drives)
+        self._inertial = None if links is None else links.inertial
         told = np.isfinite(motion.readings.tau_t[:, 0])
         self._driven = [i for channel, i in motion.missing if channel == "q" and not told[i]]
 
@@ -83,6 +87,10 @@ class MissingLinks:
         still = np.zeros((len(self._driven), self._motion.filter.count))
         return [self._added(self._by_load(still, start)) for start in self._starts]
 
+    def beside(self, links: Links) -> MissingLinks:
+        """The same links, moved by other numbers."""
+        return MissingLinks(self._motion, self._loaded, links)
+
     def swing(self, series: Mapping[int, np.ndarray]) -> tuple[np.ndarray, float]:
         """(2 k,) by how much the links start elsewhere [rad], and faster [rad/s], so that they leave least of
         the motors' balances `series` (N,), by joint, and the share of these that is then taken away: a link
@@ -97,9 +105,8 @@ class MissingLinks:
         columns = []
         for start in starts:
             moved = dict(self._by_load(still, start))
-            drives = [self._motion.robot.joints[i].drive for i in own]
-            torque = [filtered(d.K * moved[i].q + d.D * moved[i].v) for d, i in zip(drives, own, strict=True)]
-            columns.append((np.array(torque)[:, used] / size).ravel())
+            pulled = [self._drives[i].K * moved[i].q + self._drives[i].D * moved[i].v for i in own]
+            columns.append((filtered(np.array(pulled))[:, used] / size).ravel())
         by_start, y = np.array(columns), (left / size).ravel()
         pull = by_start @ y
         share = np.linalg.solve(by_start @ by_start.T + np.eye(len(starts)), -pull)
@@ -137,12 +144,12 @@ class MissingLinks:
     def _driven_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(N, k, k) mass, damping and stiffness of the driven links with their springs."""
         rigid, pick = self._motion.rigid, np.ix_(range(self._motion.filter.count), self._driven, self._driven)
-        drives = [self._motion.robot.joints[i].drive for i in self._driven]
-        return (
-            np.asarray(rigid.mass[pick]),
-            rigid.by_v[pick] + np.diag([drive.D for drive in drives]),
-            rigid.by_q[pick] + np.diag([drive.K for drive in drives]),
-        )
+        nominal = self._inertial is None
+        along = (rigid.by_q, rigid.by_v, rigid.mass) if nominal else rigid.derivatives(self._inertial)
+        by_q, by_v, mass = (x[pick] for x in along)
+        drives = [self._drives[i] for i in self._driven]
+        damping, stiffness = (np.diag([getattr(drive, name) for drive in drives]) for name in ("D", "K"))
+        return np.asarray(mass), by_v + damping, by_q + stiffness
 
     @cached_property
     def _steps(self) -> tuple[np.ndarray, np.ndarray]:

@@ -158,9 +158,14 @@ class Rigid:
 
     @cached_property
     def _derivatives(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.derivatives(None)
+
+    def derivatives(self, inertial: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`by_q`, `by_v` and `mass` with other inertial parameters (bodies, 10); None: the nominal ones."""
         robot = self.filtered.robot
         rows = np.array([joint.idx_v for joint in robot.joints])
-        by_q, by_v, mass = PinBody(robot.model).rnea_derivatives_batch(*self.filtered.motion(1.0))
+        body = PinBody(robot.model, inertial=inertial)
+        by_q, by_v, mass = body.rnea_derivatives_batch(*self.filtered.motion(1.0))
         pick = np.ix_(np.arange(len(mass)), rows, rows)
         return by_q[pick].astype(np.float32), by_v[pick].astype(np.float32), mass[pick]
 
@@ -202,7 +207,7 @@ def reconstruct(
     q, theta, missing = _angles(robot, readings, recording)
     passive = _passive(robot, readings, recording)
     if missing:
-        links = _Links.of(robot, deviations)
+        links = Links.of(robot, deviations)
         _complete(robot, links, readings, window, q, theta, missing, passive, start)
     rigid = along(robot, window, q, passive)
     return Motion(robot, readings, window, q, theta, tuple(missing), rigid, passive)
@@ -250,14 +255,14 @@ def _passive(robot: Robot, readings: Readings, recording: Recording) -> dict[str
 
 
 @dataclass(frozen=True)
-class _Links:
+class Links:
     """The numbers with which angles are made: actuators by joint, and inertial parameters (bodies, 10)."""
 
     drives: tuple[Drive, ...]
     inertial: np.ndarray
 
     @staticmethod
-    def of(robot: Robot, deviations: Sequence[Planned]) -> _Links:
+    def of(robot: Robot, deviations: Sequence[Planned]) -> Links:
         drives, inertial = [joint.drive for joint in robot.joints], inertial_of(robot.model)
         for e in deviations:
             if e.joint is None:
@@ -267,12 +272,12 @@ class _Links:
             if e.effect.overrides("edit_inertial"):
                 body = robot.joints[i].pin_id - 1
                 inertial[body] = e.effect.edit_inertial(list(inertial[body]), e.p)
-        return _Links(tuple(drives), inertial)
+        return Links(tuple(drives), inertial)
 
 
 def _complete(
     robot: Robot,
-    links: _Links,
+    links: Links,
     readings: Readings,
     window: Filter,
     q: np.ndarray,
@@ -307,7 +312,7 @@ def _complete(
 
 def _driven_links(
     robot: Robot,
-    links: _Links,
+    links: Links,
     window: Filter,
     q: np.ndarray,
     theta: np.ndarray,

@@ -7,19 +7,24 @@ noise enters a balance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
-from flexjoint.diagnosis.balances.motion import reconstruct
+from flexjoint.diagnosis.balances.motion import Links, reconstruct
 from flexjoint.diagnosis.regression import whitening
 from flexjoint.diagnosis.regression.nuisance import as_effects
 from flexjoint.diagnosis.regression.problem import REMEMBERED, Problem
 from flexjoint.effects import Planned, Site
 
 LINK_ROUNDS = 12  # at most, in which unmeasured links are put where the likely numbers have them
-SWINGS = 0.1  # share of the motors' squared balances, from which links are taken to swing at the start
+LINKS_CONVERGED = 1.0  # a round lowers the energy by less than this, which tells nothing
+REMEMBERED_STEPS = 4  # rounds from which the end of all is foretold
+LEAST_CHANGE = 1e-6  # among these rounds: what changes less is rounding
+SWINGS = 0.01  # share of the motors' squared balances, from which links are taken to swing at the start
 MOST_HALVINGS = 6  # of a step that raises the energy
 MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
 CONVERGED = 0.1  # a step gains, or promises, less than this energy
@@ -48,38 +53,70 @@ def about_likely_links(problem: Problem) -> Problem:
     of a number makes four times the error of that. The problem itself, where there are none."""
     if not problem.balances.missing_links:
         return problem
-    best, start = problem, np.zeros(0)
-    least, claimed = problem.energy(problem.residual([])), {e.key for e in problem.nominal}
+    count = sum(number.of_the_robot for number in problem.nuisance)  # before those of jumps and starts
+    best = _Put(problem, np.zeros(count), 0.0)
+    steps: list[tuple[np.ndarray, np.ndarray]] = []
     for _ in range(LINK_ROUNDS):
-        y = best.residual([])
-        likely = deviation_effects(best, best.at(best.plausible_level(y)).deviations(y))
-        swing, share = _swing(best, likely)
-        start = start if start.size else np.zeros_like(swing)
-        numbers = [e for e in likely if e.key not in claimed]  # effects move no link here
-        starts = [start] if share < SWINGS else [start, start + swing]
-        trials = [(trial, there) for there in starts for trial in _along(problem, numbers, there)]
-        energies = [trial.energy(trial.residual([])) for trial, _ in trials]
-        if not trials or min(energies) > least - CONVERGED:
+        here, y = best.problem, best.problem.residual([])
+        likely = here.at(here.plausible_level(y)).deviations(y)[:count]
+        steps = [*steps[-REMEMBERED_STEPS:], (best.deviations, likely)]
+        places = (_ahead(steps), likely) if len(steps) > 1 else (likely,)
+        trials = (trial for place in places for trial in _put(problem, best, place))
+        better = next((t for t in trials if t.energy < best.energy - LINKS_CONVERGED), None)
+        if better is None:
             break
-        (best, start), least = trials[int(np.argmin(energies))], min(energies)
-    return best
+        best = better
+    return best.problem
+
+
+@dataclass(frozen=True)
+class _Put:
+    """The problem with the links where deviations of the robot's numbers have them, and a start (2 k,) beyond
+    rest."""
+
+    problem: Problem
+    deviations: np.ndarray
+    start: np.ndarray | float
+
+    @cached_property
+    def energy(self) -> float:
+        return self.problem.energy(self.problem.residual([]))
+
+
+def _put(nominal: Problem, now: _Put, deviations: np.ndarray) -> Iterator[_Put]:
+    """The problem with the links where deviations have them: they swing at the start as the motors' balances
+    show beside `now`, where these show it, or start as there; nothing where they make no mechanism."""
+    rest = len(now.problem.nuisance) - deviations.size
+    effects = deviation_effects(now.problem, np.pad(deviations, (0, rest)))
+    claimed = {e.key for e in nominal.nominal}
+    numbers = [e for e in effects if e.key not in claimed]  # effects move no link here
+    swing, share = _swing(now.problem, effects)
+    recording, motions = nominal.readings.recording, (nominal.motion, nominal.balances.denoised.motion)
+    starts = [now.start + 0.0 * swing] if share <= SWINGS else [now.start + swing, now.start + 0.0 * swing]
+    for start in starts:
+        moved = [reconstruct(nominal.robot, m.readings, recording, numbers, start) for m in motions]
+        if all(np.isfinite(m.q).all() for m in moved):
+            yield _Put(Problem(TwinBalances(*moved)), deviations, start)
+
+
+def _ahead(steps: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Where rounds that lead from one place to another each would end, were they linear (Anderson 1965): the
+    last rounds go there by a fifth of the way each, where a link's deflection is off by most of its size."""
+    ways = [there - here for here, there in steps]
+    change, places = (
+        np.array([x[-1] - one for one in x[:-1]]).T for x in (ways, [there for _, there in steps])
+    )
+    share = np.linalg.lstsq(change, ways[-1], rcond=LEAST_CHANGE)[0]
+    return np.asarray(steps[-1][1] - places @ share)
 
 
 def _swing(problem: Problem, effects: Sequence[Planned]) -> tuple[np.ndarray, float]:
-    """`MissingLinks.swing` beside some effects."""
-    balances = problem.balances
+    """`MissingLinks.swing` of links with these deviations of the nominal numbers."""
+    balances, links = problem.balances, Links.of(problem.robot, effects)
     series = balances.time_series(balances.residual(problem.with_nominal(effects)))
-    return balances.missing_links.swing(
+    return balances.missing_links.beside(links).swing(
         {row.joint: series[r] for r, row in enumerate(balances.rows) if row.balance == MOTOR}
     )
-
-
-def _along(problem: Problem, numbers: Sequence[Planned], start: np.ndarray) -> list[Problem]:
-    """The problem with the links where these numbers put them; none where they make no mechanism."""
-    robot, recording = problem.robot, problem.readings.recording
-    motions = (problem.motion, problem.balances.denoised.motion)
-    moved = [reconstruct(robot, m.readings, recording, numbers, start) for m in motions]
-    return [Problem(TwinBalances(*moved))] if all(np.isfinite(m.q).all() for m in moved) else []
 
 
 def converged_deviations(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray:
