@@ -20,6 +20,7 @@ from flexjoint.diagnosis.result.wording import clean, number, unit_of
 from flexjoint.model.delays import longest_delay
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as tables
+from flexjoint.recording.brakes import without_brakes
 from flexjoint.recording.clock import on_regular_clock
 from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import MEASURED, Recording
@@ -134,6 +135,7 @@ def compare(
     if not isinstance(model, FlexibleJointModel):
         model = FlexibleJointModel(robots.expect(model, "compare"))
     recording = with_torques(model.robot, on_regular_clock(tables.expect(recording, "compare")))
+    recording = without_brakes(model.robot, recording)
     return compared(model, recording, horizon, closed_loop, engine, progress or silent, budget)
 
 

@@ -163,6 +163,7 @@ def _torque(
         return np.full(grid.size, x[0]), np.zeros(grid.size, dtype=bool)
     after = np.searchsorted(t, grid, side="right").clip(1, t.size - 1)
     good = (t[after] - t[after - 1]) <= (settings.longest_bridge + 1.5) * own
+    good &= (grid >= t[0] - 1.5 * own) & (grid <= t[-1] + 1.5 * own)
     # local cubics: exact to higher order than lines on a smooth command, no ringing at a jump
     values = Akima1DInterpolator(t, x, method="makima")(np.clip(grid, t[0], t[-1]))
     return values, good
