@@ -20,6 +20,7 @@ from flexjoint.robot.robot import Robot
 OFF = 0.02  # of a motor's RMS torque, beside three deviations of its noise, up to which it gives none
 AROUND = 5  # samples, whose median it is: a single one may be off by more
 SECONDS = 0.2  # at least: a torque passes through zero faster
+SWITCHED = 0.3  # s beside it while the robot still stands: brakes close before motors go off, and open after
 STILL = 10.0  # steps of an encoder, or deviations of its noise, by which a joint that is held may move
 LOADED = 0.05  # of a motor's RMS torque, that gravity at least makes of its joint's load there
 TORQUES = ("tau_m", "tau_motor")
@@ -81,16 +82,17 @@ def held_by_brakes(robot: Robot, recording: Recording) -> list[Held]:
         usually = median_filter(np.nan_to_num(x), AROUND)  # an empty cell is no torque either
         off &= np.abs(usually) <= OFF * usual[joint] + 3.0 * white_noise(x)
     slack = {joint: STILL * max(white_noise(x), step_of(x[np.isfinite(x)])) for joint, x in angles.items()}
+
+    def stays(at: int, until: int) -> np.ndarray:
+        """Whether all joints are where they are at a row, in each row from there to another, up to the first
+        one in which they are not."""
+        way = slice(at, until + 1) if until >= at else slice(at, until - 1 if until else None, -1)
+        apart = [np.abs(x[way] - x[at]) > slack[joint] for joint, x in angles.items()]
+        return np.logical_and.accumulate(~np.any(apart, axis=0))
+
     out = []
     for first, last in _spans(off):
-        from_start, to_end = (
-            np.all(
-                [~(np.abs(angles[j][first : last + 1] - angles[j][at]) > slack[j]) for j in angles], axis=0
-            )
-            for at in (first, last)
-        )
-        still = np.logical_and.accumulate(from_start)
-        still |= np.logical_and.accumulate(to_end[::-1])[::-1]
+        still = stays(first, last) | stays(last, first)[::-1]
         for a, b in _spans(still):
             begin, end = first + a, first + b
             known = all(
@@ -101,6 +103,9 @@ def held_by_brakes(robot: Robot, recording: Recording) -> list[Held]:
             loads = _gravity(robot, {j: float(np.nanmean(x[begin : end + 1])) for j, x in angles.items()})
             joint = max(torques, key=lambda j: abs(loads[j]) / max(usual[j], 1e-300))
             if abs(loads[joint]) > LOADED * usual[joint]:
+                before, behind = np.searchsorted(time, (time[begin] - SWITCHED, time[end] + SWITCHED))
+                begin -= int(np.count_nonzero(stays(begin, int(before)))) - 1
+                end += int(np.count_nonzero(stays(end, min(int(behind), time.size - 1)))) - 1
                 out.append(Held(begin, end, joint, loads[joint]))
     return out
 

@@ -52,6 +52,16 @@ def test_motors_that_are_off_are_found_and_their_torques_left_out(
     assert "held by its brakes" in note
 
 
+def test_brakes_that_open_after_the_motors_are_on_hold_the_robot_until_then() -> None:
+    """For 0.25 s the motors carry half of the load, and the brakes the rest."""
+    robot, period = nominal("gimbal"), recorded("gimbal", "steps").period
+    ramp = round(0.25 / period)
+    halfway = braked(recorded("gimbal", "steps"), ramp * period, load=0.5)
+    kept = without_brakes(robot, braked(halfway, 1.0))
+    off = np.isnan(kept.columns["tau_m", "tilt"])
+    assert np.all(off[: round(1.0 / period) + ramp]) and np.mean(off) < 0.2
+
+
 @pytest.mark.parametrize("robot", ["crane", "scara", "turret", "gimbal", "reach"])
 def test_nothing_is_left_out_of_motors_that_hold_their_load(robot: str) -> None:
     """Nor of a SCARA at rest, of which gravity asks nothing, nor where a torque passes through zero."""
