@@ -40,8 +40,8 @@ from flexjoint.diagnosis.verdict.residuals import explained_share, residual_view
 from flexjoint.diagnosis.verdict.review import notes, reviewed
 from flexjoint.diagnosis.verdict.unseen import remaining, standing_out
 from flexjoint.effects import catalogue
-from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording, expect_several
+from flexjoint.recording.turns import of_robot
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 
@@ -146,7 +146,7 @@ def _checked(
     robot, recordings = expect(robot, "diagnose"), expect_several(recordings, "diagnose")
     _check_names(excluded)
     robots = _loaded(robot, recordings, payloads)
-    return robots, [with_torques(robot, recording) for recording in recordings]
+    return robots, [of_robot(robot, recording) for recording in recordings]
 
 
 def _data_errors(

@@ -28,8 +28,8 @@ TORQUES = ("tau_m", "tau_motor")
 
 @dataclass(frozen=True)
 class Held:
-    """Rows begin to end, the last one included, in which brakes hold a robot, and the load [N m] by gravity
-    of the joint that is loaded most for its motor."""
+    """Rows begin to end, the last one included, in which motors are off and brakes stop or hold a robot, and
+    the load [N m] by gravity of the joint that is loaded most for its motor."""
 
     begin: int
     end: int
@@ -59,8 +59,9 @@ def without_brakes(robot: Robot, recording: Recording) -> Recording:
 
 
 def held_by_brakes(robot: Robot, recording: Recording) -> list[Held]:
-    """Where all motors whose torque is recorded give none, no joint moves, and gravity pulls at one of them
-    by a twentieth of its motor's usual torque or more. None for a floating base, of unrecorded pose."""
+    """Where all motors whose torque is recorded give none and, at the begin or the end of that, no joint
+    moves while gravity pulls at one of them by a twentieth of its motor's usual torque or more. None for a
+    floating base, of unrecorded pose."""
     time, columns = recording.time, recording.columns
     torques = {
         joint: columns[channel, joint]
@@ -93,21 +94,33 @@ def held_by_brakes(robot: Robot, recording: Recording) -> list[Held]:
     out = []
     for first, last in _spans(off):
         still = stays(first, last) | stays(last, first)[::-1]
-        for a, b in _spans(still):
-            begin, end = first + a, first + b
-            known = all(
-                np.any(np.isfinite(x[begin : end + 1])) for x in (*torques.values(), *angles.values())
-            )
-            if time[end] - time[begin] < SECONDS or not known:
-                continue
-            loads = _gravity(robot, {j: float(np.nanmean(x[begin : end + 1])) for j, x in angles.items()})
-            joint = max(torques, key=lambda j: abs(loads[j]) / max(usual[j], 1e-300))
-            if abs(loads[joint]) > LOADED * usual[joint]:
-                before, behind = np.searchsorted(time, (time[begin] - SWITCHED, time[end] + SWITCHED))
-                begin -= int(np.count_nonzero(stays(begin, int(before)))) - 1
-                end += int(np.count_nonzero(stays(end, min(int(behind), time.size - 1)))) - 1
-                out.append(Held(begin, end, joint, loads[joint]))
+        held = [_loaded(robot, time, torques, angles, usual, first + a, first + b) for a, b in _spans(still)]
+        joint, load = max(filter(None, held), key=lambda one: abs(one[1]), default=("", 0.0))
+        if joint:
+            before, behind = np.searchsorted(time, (time[first] - SWITCHED, time[last] + SWITCHED))
+            begin = first + 1 - int(np.count_nonzero(stays(first, int(before))))
+            end = last - 1 + int(np.count_nonzero(stays(last, min(int(behind), time.size - 1))))
+            out.append(Held(begin, end, joint, load))
     return out
+
+
+def _loaded(
+    robot: Robot,
+    time: np.ndarray,
+    torques: Mapping[str, np.ndarray],
+    angles: Mapping[str, np.ndarray],
+    usual: Mapping[str, float],
+    begin: int,
+    end: int,
+) -> tuple[str, float] | None:
+    """The joint that gravity loads most for its motor at the pose of some rows, and its load [N m]; None
+    where they are too few, or none is loaded."""
+    known = all(np.any(np.isfinite(x[begin : end + 1])) for x in (*torques.values(), *angles.values()))
+    if time[end] - time[begin] < SECONDS or not known:
+        return None
+    loads = _gravity(robot, {j: float(np.nanmean(x[begin : end + 1])) for j, x in angles.items()})
+    joint = max(torques, key=lambda j: abs(loads[j]) / max(usual[j], 1e-300))
+    return (joint, loads[joint]) if abs(loads[joint]) > LOADED * usual[joint] else None
 
 
 def _spans(where: np.ndarray) -> list[tuple[int, int]]:

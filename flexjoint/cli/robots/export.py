@@ -24,9 +24,9 @@ from flexjoint.export.targets import Exported, exported, find
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.checks import check
 from flexjoint.recording.clock import on_regular_clock
-from flexjoint.recording.currents import with_torques
 from flexjoint.recording.importing import read
 from flexjoint.recording.table import Recording
+from flexjoint.recording.turns import of_robot
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.options import Engine
 from flexjoint.simulation.simulate import torque_channel
@@ -84,7 +84,7 @@ def _losses(arguments: argparse.Namespace, robot: Robot, done: Exported) -> list
     """What the export costs, by channel, and what each effect costs that is not exact."""
     recording = read(arguments.measure, mapping_of(arguments), robot).recording
     check(robot, recording)
-    recording = with_torques(robot, on_regular_clock(recording))
+    recording = of_robot(robot, on_regular_clock(recording))
     if torque_channel(recording, robot.joint_names) is None:
         raise RecordingError(
             f"{recording.name}: expected tau_m or tau_motor of every joint, which drive both simulations;"

@@ -34,8 +34,8 @@ from flexjoint.diagnosis.settings import USUAL, DataSettings
 from flexjoint.recording import table as tables
 from flexjoint.recording.channels import inspected
 from flexjoint.recording.clock import without_pauses
-from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording
+from flexjoint.recording.turns import of_robot
 from flexjoint.robot import robot as robots
 from flexjoint.robot.robot import Robot, shipped_robots
 
@@ -103,7 +103,7 @@ def check_data(robot: Robot, recording: Recording, *, settings: DataSettings = U
     without constants.
     """
     robot = robots.expect(robot, "check_data")
-    recording = with_torques(robot, tables.expect(recording, "check_data"))
+    recording = of_robot(robot, tables.expect(recording, "check_data"))
     findings = data_errors(robot, recording, settings)
     right = columns.repaired(recording, findings)
     return DataCheck(robot.name, recording, findings, (*recording.notes, *_taken(robot, right, settings)))

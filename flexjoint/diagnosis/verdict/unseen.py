@@ -23,8 +23,8 @@ from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
 from flexjoint.diagnosis.verdict.held_out import held_out_blocks
 from flexjoint.diagnosis.verdict.residuals import NEIGHBOURS, smooth_curve
 from flexjoint.effects import Planned, Signals, Site
-from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording
+from flexjoint.recording.turns import of_robot
 from flexjoint.robot.robot import Robot
 
 RIDGE = 1e-3  # of a curve's normal matrix, on its mean diagonal: corners that few samples visit stay flat
@@ -221,7 +221,7 @@ def _of(problem: Recorded, effects: Sequence[Planned]) -> np.ndarray:
 def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL) -> dict[str, float]:
     """RMS [N m], by joint, of the measured motor torque minus what the model needs for the measured motion,
     on all usable samples; about its mean where encoder offsets are free. No number is corrected."""
-    problem = Recorded(balances_of(robot, with_torques(robot, recording), settings))
+    problem = Recorded(balances_of(robot, of_robot(robot, recording), settings))
     left = uncorrected(problem, [])
     totals = {name: _total(problem.balances, left, j) for j, name in enumerate(robot.joint_names)}
     return {name: float(np.sqrt(np.mean(x**2))) for name, x in totals.items() if x is not None}

@@ -28,8 +28,8 @@ from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.diagnosis.verdict.held_out import noise_floor
 from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel
-from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording, expect_several
+from flexjoint.recording.turns import of_robot
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 
@@ -79,7 +79,7 @@ def agreement(
     loads = payloads or [None] * len(recordings)
     robots = [robot if load is None else load.on(robot) for load in loads]
     names = _names(recordings)
-    torques = [with_torques(robot, recording) for recording in recordings]
+    torques = [of_robot(robot, recording) for recording in recordings]
     parts, _ = excerpts(robots[0], torques, budget.seconds)
     try:
         with within(budget):

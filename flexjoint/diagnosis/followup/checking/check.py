@@ -29,9 +29,9 @@ from flexjoint.diagnosis.search.robust_search import blunted
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.effects import Planned
-from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording
 from flexjoint.recording.table import expect as expect_recording
+from flexjoint.recording.turns import of_robot
 from flexjoint.robot.robot import Robot, expect
 
 
@@ -89,7 +89,7 @@ def check(
 
 def _looked_at(robot: Robot, recording: Recording, settings: Settings) -> tuple[Recording, tuple[str, ...]]:
     """The part of the recording that is looked at. Raises RecordingError where its data cannot be right."""
-    recording = with_torques(robot, recording)
+    recording = of_robot(robot, recording)
     wrong = check_data(robot, recording, settings=settings.data).findings
     if wrong:
         more = f", and {len(wrong) - 1} more errors of the data" if len(wrong) > 1 else ""

@@ -47,8 +47,8 @@ from flexjoint.diagnosis.search.candidates import Candidate, visible
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.effects import Planned, catalogue
-from flexjoint.recording.currents import with_torques
 from flexjoint.recording.table import Recording, expect_several
+from flexjoint.recording.turns import of_robot
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 
@@ -100,7 +100,7 @@ def learn(
     base = replace(diagnosis, learned=None).extend(robot)  # which checks the names
     causes = [e for e in base.effects if e not in robot.effects]
     robots = [robot if load is None else load.on(robot) for load in payloads or [None] * len(recordings)]
-    parts, _ = excerpts(robots[0], [with_torques(robot, one) for one in recordings], budget.seconds)
+    parts, _ = excerpts(robots[0], [of_robot(robot, one) for one in recordings], budget.seconds)
     evidence = Evidence.of(robots, parts, causes, settings)
     if evidence.too_short:
         note = f"no law was learned: that takes {evidence.too_short:g} s of motion in each recording"
