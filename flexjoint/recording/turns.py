@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from flexjoint.recording.currents import with_torques
+from flexjoint.recording.glitches import without_glitches
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
@@ -17,9 +18,10 @@ USUAL = 2.0  # times the largest other step, that one is at most once its whole 
 
 
 def of_robot(robot: Robot, recording: Recording) -> Recording:
-    """The recording in the quantities of its robot: torques made of currents (`currents.with_torques`), and
-    angles that do not jump by a turn (`unwrapped`)."""
-    return unwrapped(robot, with_torques(robot, recording))
+    """The recording in the quantities of its robot: torques made of currents (`currents.with_torques`),
+    without readings that failed (`glitches.without_glitches`), and with angles that do not jump by a turn
+    (`unwrapped`)."""
+    return unwrapped(robot, without_glitches(robot, with_torques(robot, recording)))
 
 
 def unwrapped(robot: Robot, recording: Recording) -> Recording:
