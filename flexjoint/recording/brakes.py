@@ -78,10 +78,14 @@ def held_by_brakes(robot: Robot, recording: Recording) -> list[Held]:
     if robot.floating or not torques or set(angles) != set(robot.joint_names):
         return []
     usual = {joint: float(np.sqrt(np.nanmean(x**2))) for joint, x in torques.items()}
-    off = np.ones(time.size, dtype=bool)
+    none = {joint: OFF * usual[joint] + 3.0 * white_noise(x) for joint, x in torques.items()}
+    off = np.all([~(np.abs(x) > none[joint]) for joint, x in torques.items()], axis=0)
+    if np.count_nonzero(off) * recording.period < 0.5 * SECONDS:
+        return []
+    off[:] = True
     for joint, x in torques.items():
-        usually = median_filter(np.nan_to_num(x), AROUND)  # an empty cell is no torque either
-        off &= np.abs(usually) <= OFF * usual[joint] + 3.0 * white_noise(x)
+        # an empty cell is no torque either
+        off &= np.abs(median_filter(np.nan_to_num(x), AROUND)) <= none[joint]
     slack = {joint: STILL * max(white_noise(x), step_of(x[np.isfinite(x)])) for joint, x in angles.items()}
 
     def stays(at: int, until: int) -> np.ndarray:

@@ -14,6 +14,7 @@ POSITIONS = ("q", "theta")
 TORQUES = ("tau_t", "tau_motor")  # of which a value of exactly 0 is no torque, but no answer
 LONGEST = 3  # samples in a row: of more, a motion may be the reason
 FAR = 30.0  # deviations of the noise, or steps, from where the samples beside it lead, at least
+NEGLIGIBLE = 1e-5  # of a channel's range, for its noise where it has none
 SMOOTH = 0.1  # of that, at most, that they are off themselves: a body that is hit moves on otherwise
 MOST = 0.02  # share of the samples, beyond which these are no single readings
 BESIDE = 2  # samples on either side, whose cubic polynomial leads across
@@ -45,12 +46,14 @@ def _failed(x: np.ndarray, exactly_zero: bool) -> tuple[np.ndarray, float]:
     off at most."""
     if x.size < 4 * BESIDE + LONGEST:
         return np.zeros(0, dtype=int), 0.0
-    least = FAR * max(usual_noise(x), step_of(x))
-    away = np.abs(_beside(x))
+    least = FAR * max(usual_noise(x), step_of(x), NEGLIGIBLE * float(np.ptp(x)))
+    suspect = np.abs(_beside(x)) > least
+    if exactly_zero:
+        suspect &= x[BESIDE:-BESIDE] == 0.0
     found: list[int] = []
     largest = 0.0
     # a sample that is off makes those beside it seem so, by two thirds at most
-    for at in (np.flatnonzero(away > least) + BESIDE).tolist():
+    for at in (np.flatnonzero(suspect) + BESIDE).tolist():
         if found and at <= found[-1]:
             continue
         for length in range(1, LONGEST + 1):

@@ -59,6 +59,14 @@ def test_a_body_that_is_hit_moves_on_otherwise() -> None:
     assert without_glitches(nominal("turret"), long) is long
 
 
+def test_a_robot_that_mostly_stands_has_no_failing_readings() -> None:
+    """Its usual noise is none: what moves is not held against that."""
+    time = 0.01 * np.arange(3000)
+    moves = np.where(time > 25.0, 1.0 - np.cos(np.clip(time - 25.0, 0.0, None)), 0.0)
+    stands = table.make(time, {("theta", "turn"): moves, ("tau_motor", "turn"): moves}, "stands")
+    assert without_glitches(nominal("turret"), stands) is stands
+
+
 def test_a_healthy_robot_of_which_some_readings_failed_is_healthy() -> None:
     """Three zeros among 2400 angles of an arm had left 98 % of a joint's torque unexplained."""
     recording = failing(recorded("gimbal", "steps"), "theta", "tilt", [900, 2000, 3100], 3.0)
