@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
@@ -10,16 +11,18 @@ from flexjoint.diagnosis.search.selection import Selection, choose
 from flexjoint.effects import Planned
 
 
-def plainer(selection: Selection, shrunk: Planned) -> Selection:
+def plainer(selection: Selection, shrunk: Planned, worse: float = math.inf) -> Selection:
     """The selection with the best rival in the place of a law that has shrunk, or without that law where the
-    data support no rival."""
+    data support no rival whose score is `worse` by that at most."""
     best = selection.best
     k = next(k for k, e in enumerate(best.effects) if e.key == shrunk.key)
     simplest = refit_without(best, best.effects[k])
     fits = [
         r
         for r in selection.rivals[k]
-        if len(r.effects) == len(best.effects) and supported(r, simplest, r.effects[-1])
+        if len(r.effects) == len(best.effects)
+        and score(r) <= score(best) + worse
+        and supported(r, simplest, r.effects[-1])
     ]
     if not fits:
         return without(selection, shrunk)
