@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
@@ -11,18 +10,16 @@ from flexjoint.diagnosis.search.selection import Selection, choose
 from flexjoint.effects import Planned
 
 
-def plainer(selection: Selection, shrunk: Planned, worse: float = math.inf) -> Selection:
+def plainer(selection: Selection, shrunk: Planned) -> Selection:
     """The selection with the best rival in the place of a law that has shrunk, or without that law where the
-    data support no rival whose score is `worse` by that at most."""
+    data support no rival."""
     best = selection.best
     k = next(k for k, e in enumerate(best.effects) if e.key == shrunk.key)
     simplest = refit_without(best, best.effects[k])
     fits = [
         r
         for r in selection.rivals[k]
-        if len(r.effects) == len(best.effects)
-        and score(r) <= score(best) + worse
-        and supported(r, simplest, r.effects[-1])
+        if len(r.effects) == len(best.effects) and supported(r, simplest, r.effects[-1])
     ]
     if not fits:
         return without(selection, shrunk)

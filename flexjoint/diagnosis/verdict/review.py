@@ -44,7 +44,7 @@ def _edited(case: Looked, check: Check[Looked], objection: Objection) -> Looked:
     if objection.instead is not None:
         after = objection.instead
     elif objection.simpler:
-        after = plainer(before, effect, objection.worse)
+        after = plainer(before, effect)
     else:
         after = without(before, effect)
     return case.changed(after, _step(check, objection, before, after))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Generic, TypeVar
@@ -20,15 +19,14 @@ class Objection:
     """A cause that is not to be reported as it is.
 
     `evidence` is what the check compares with its limit, `why` completes "X is not reported: ...". With
-    `simpler`, the best alternative takes its place if the data support one whose score is `worse` by that at
-    most. `instead` is the selection to go on with, where the check has made it already.
+    `simpler`, the best simpler alternative takes its place if the data support one. `instead` is the
+    selection to go on with, where the check has made it already.
     """
 
     effect: Planned
     evidence: float
     why: str
     simpler: bool = False
-    worse: float = math.inf
     instead: Selection | None = None
 
 

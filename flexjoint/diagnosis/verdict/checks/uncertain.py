@@ -30,5 +30,4 @@ class UncertainSize(Check[Case]):
         if certain[worst] >= needed[worst]:
             return ()
         why = f"its size is known to only {certain[worst]:.1f} standard errors, of {needed[worst]:.1f} needed"
-        tie = best.settings.verdict.tie
-        return (Objection(best.effects[worst], float(certain[worst]), why, simpler=True, worse=tie),)
+        return (Objection(best.effects[worst], float(certain[worst]), why),)
