@@ -40,8 +40,8 @@ from flexjoint.diagnosis.verdict.residuals import explained_share, residual_view
 from flexjoint.diagnosis.verdict.review import notes, reviewed
 from flexjoint.diagnosis.verdict.unseen import remaining, standing_out
 from flexjoint.effects import catalogue
+from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording, expect_several
-from flexjoint.recording.turns import of_robot
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 

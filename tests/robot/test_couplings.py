@@ -10,7 +10,7 @@ import pytest
 from support.robots.robot_files import JOINT, file
 
 from flexjoint.core.errors import RobotError
-from flexjoint.recording.currents import with_torques
+from flexjoint.recording.readings.currents import with_torques
 from flexjoint.recording.table import make
 from flexjoint.robot import robot
 

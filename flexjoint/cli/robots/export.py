@@ -25,8 +25,8 @@ from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.checks import check
 from flexjoint.recording.clock import on_regular_clock
 from flexjoint.recording.importing import read
+from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording
-from flexjoint.recording.turns import of_robot
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation.options import Engine
 from flexjoint.simulation.simulate import torque_channel

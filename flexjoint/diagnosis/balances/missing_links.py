@@ -50,6 +50,9 @@ class MissingLinks:
         """Whether there are any that can be followed."""
         return bool(self._driven) and self._steady
 
+    def __len__(self) -> int:
+        return len(self._driven)
+
     @cached_property
     def _steady(self) -> bool:
         """Whether the links settle: of a spring that is too soft for its load the linear equations may grow

@@ -20,10 +20,9 @@ from flexjoint.diagnosis.result.wording import clean, number, unit_of
 from flexjoint.model.delays import longest_delay
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as tables
-from flexjoint.recording.brakes import without_brakes
 from flexjoint.recording.clock import on_regular_clock
+from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import MEASURED, Recording
-from flexjoint.recording.turns import of_robot
 from flexjoint.robot import robot as robots
 from flexjoint.robot.robot import Robot
 from flexjoint.simulation import rollout as runs
@@ -135,7 +134,6 @@ def compare(
     if not isinstance(model, FlexibleJointModel):
         model = FlexibleJointModel(robots.expect(model, "compare"))
     recording = of_robot(model.robot, on_regular_clock(tables.expect(recording, "compare")))
-    recording = without_brakes(model.robot, recording)
     return compared(model, recording, horizon, closed_loop, engine, progress or silent, budget)
 
 

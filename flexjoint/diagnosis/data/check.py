@@ -32,10 +32,10 @@ from flexjoint.diagnosis.result.values import DataFinding, data_to_json
 from flexjoint.diagnosis.result.wording import clean, sentence
 from flexjoint.diagnosis.settings import USUAL, DataSettings
 from flexjoint.recording import table as tables
-from flexjoint.recording.channels import inspected
 from flexjoint.recording.clock import without_pauses
+from flexjoint.recording.readings.channels import inspected
+from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording
-from flexjoint.recording.turns import of_robot
 from flexjoint.robot import robot as robots
 from flexjoint.robot.robot import Robot, shipped_robots
 
@@ -110,7 +110,7 @@ def check_data(robot: Robot, recording: Recording, *, settings: DataSettings = U
 
 
 def data_errors(robot: Robot, recording: Recording, settings: DataSettings) -> tuple[DataFinding, ...]:
-    """What of a recording with torques cannot be right (`flexjoint.recording.currents.with_torques`)."""
+    """What of a recording in its robot's quantities (`readings.quantities.of_robot`) cannot be right."""
     if arrived := tuple(stamps.of_arrival(recording, settings)):  # nothing else can be told from wrong times
         return arrived
     now = without_pauses(recording)

@@ -54,7 +54,7 @@ def about_likely_links(problem: Problem) -> Problem:
     if not problem.balances.missing_links:
         return problem
     count = sum(number.of_the_robot for number in problem.nuisance)  # before those of jumps and starts
-    best = _Put(problem, np.zeros(count), 0.0)
+    best = _Put(problem, np.zeros(count), np.zeros(2 * len(problem.balances.missing_links)))
     steps: list[tuple[np.ndarray, np.ndarray]] = []
     for _ in range(LINK_ROUNDS):
         here, y = best.problem, best.problem.residual([])
@@ -71,12 +71,12 @@ def about_likely_links(problem: Problem) -> Problem:
 
 @dataclass(frozen=True)
 class _Put:
-    """The problem with the links where deviations of the robot's numbers have them, and a start (2 k,) beyond
-    rest."""
+    """The problem with the links where deviations (numbers,) of the robot's numbers have them, from a start
+    (2 k,) beyond rest (`reconstruct`)."""
 
     problem: Problem
     deviations: np.ndarray
-    start: np.ndarray | float
+    start: np.ndarray
 
     @cached_property
     def energy(self) -> float:
@@ -92,16 +92,16 @@ def _put(nominal: Problem, now: _Put, deviations: np.ndarray) -> Iterator[_Put]:
     numbers = [e for e in effects if e.key not in claimed]  # effects move no link here
     swing, share = _swing(now.problem, effects)
     recording, motions = nominal.readings.recording, (nominal.motion, nominal.balances.denoised.motion)
-    starts = [now.start + 0.0 * swing] if share <= SWINGS else [now.start + swing, now.start + 0.0 * swing]
-    for start in starts:
+    for start in (now.start + swing, now.start) if share > SWINGS else (now.start,):
         moved = [reconstruct(nominal.robot, m.readings, recording, numbers, start) for m in motions]
         if all(np.isfinite(m.q).all() for m in moved):
             yield _Put(Problem(TwinBalances(*moved)), deviations, start)
 
 
 def _ahead(steps: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Where rounds that lead from one place to another each would end, were they linear (Anderson 1965): the
-    last rounds go there by a fifth of the way each, where a link's deflection is off by most of its size."""
+    """Where rounds that each lead from one place (numbers,) to another would end, were they linear: Anderson
+    1965, "Iterative procedures for nonlinear integral equations". By themselves they go there by a fifth of
+    the way each, where a link's deflection is off by much of its size."""
     ways = [there - here for here, there in steps]
     change, places = (
         np.array([x[-1] - one for one in x[:-1]]).T for x in (ways, [there for _, there in steps])

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from flexjoint.diagnosis.data.torques.lag import advanced, torque_lag
-from flexjoint.recording.channels import inspected
 from flexjoint.recording.clock import without_pauses
+from flexjoint.recording.readings.channels import inspected
 from flexjoint.recording.table import Recording, was_measured
 from flexjoint.robot.robot import Robot
 
@@ -60,7 +60,7 @@ def excerpts(
     are no larger than the work can take (`largest` samples times joints, LARGEST by default), and than a
     search takes in the `seconds` that are allowed for it.
 
-    Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.channels`)."""
+    Raises RecordingError for one that no diagnosis can use (`flexjoint.recording.readings.channels`)."""
     recordings = [_repaired(robot, recording) for recording in recordings]
     repairs = tuple(f"{recording.name}: {note}" for recording in recordings for note in recording.notes)
     joints = len(robot.joints)

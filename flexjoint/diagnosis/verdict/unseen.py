@@ -23,8 +23,8 @@ from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
 from flexjoint.diagnosis.verdict.held_out import held_out_blocks
 from flexjoint.diagnosis.verdict.residuals import NEIGHBOURS, smooth_curve
 from flexjoint.effects import Planned, Signals, Site
+from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording
-from flexjoint.recording.turns import of_robot
 from flexjoint.robot.robot import Robot
 
 RIDGE = 1e-3  # of a curve's normal matrix, on its mean diagonal: corners that few samples visit stay flat

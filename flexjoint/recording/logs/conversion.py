@@ -14,13 +14,13 @@ import numpy as np
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.core.text import Block, Line, Table, plain
-from flexjoint.recording.channels import lag_of
 from flexjoint.recording.checks import all_joints, check_columns, keeps_one_sign
 from flexjoint.recording.clock import without_pauses
 from flexjoint.recording.logs import units
 from flexjoint.recording.logs.log import ELEMENT, Documented, Log, Signal, last_part, named
 from flexjoint.recording.logs.mapping import EMPTY, ChannelEntry, MappingFile, by_joint
 from flexjoint.recording.messages import refusal, shown
+from flexjoint.recording.readings.channels import lag_of
 from flexjoint.recording.stamps import SLOWEST
 from flexjoint.recording.table import UNITS, Recording, make
 from flexjoint.robot.robot import Robot

@@ -211,3 +211,20 @@ def test_a_link_that_swings_on_a_soft_spring_is_in_no_other_unit(softness: float
     }
     found = [f.error for f in differences(robot, make(time, columns), LIMITS)]
     assert found == ([] if softness == 1.0 else ["unit"])
+
+
+def test_a_turned_torque_is_found_where_motors_are_off_for_most_of_the_log() -> None:
+    """Brakes hold the arm there, and say nothing of its torques: instants lie where motors give some."""
+    moving = log()
+    count = 2 * moving.time.size
+    columns = {}
+    for (channel, joint), x in moving.columns.items():
+        sign = -1.0 if (channel, joint) == ("tau_motor", LIFT) else 1.0
+        before = (
+            np.zeros(count) if channel == "tau_motor" or channel.startswith("d") else np.full(count, x[0])
+        )
+        columns[channel, joint] = np.concatenate([before, sign * x])
+    time = moving.period * np.arange(count + moving.time.size)
+    found = check_data(ur5(), make(time, columns, "braked"))
+    assert any("brakes" in note for note in found.notes)
+    assert [(f.error, f.joint) for f in found.findings] == [("turned_torque", LIFT)]

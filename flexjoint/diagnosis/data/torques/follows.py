@@ -94,8 +94,8 @@ class Balance:
 
     def motion(self, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q (M, nq), v and a (M, nv) of the whole model."""
-        data, count = self.data, self.settings.instants
-        q, v, a = np.tile(self.body.neutral, (count, 1)), *np.zeros((2, count, self.model.nv))
+        data = self.data
+        q, v, a = np.tile(self.body.neutral, (data.count, 1)), *np.zeros((2, data.count, self.model.nv))
         for name in data.joints:
             joint = data.robot.model.joints[data.robot.model.getJointId(name)]
             moved = _moved(data.link, name, view)

@@ -172,7 +172,7 @@ def _joints(
     data = sampled_by(robot, recording, smoothed)
     if data is None:
         return []
-    balance = Balance(data, replace(settings, instants=smoothed.at.size))
+    balance = Balance(data, settings)
     blocks = (smoothed.at / BLOCK).astype(int)
     regressor = balance.body.regressor_batch(*balance.motion(View()))
     out = []

@@ -32,14 +32,24 @@ class Sampled:
     def joints(self) -> tuple[str, ...]:
         return tuple(self.link)
 
+    @property
+    def count(self) -> int:
+        """M."""
+        return next(iter(self.link.values())).shape[1]
+
 
 def sampled(robot: Robot, recording: Recording, settings: DataSettings) -> Sampled | None:
-    """The recording at instants that lie evenly among its samples; None where its torques cannot be told from
-    its motion: a floating base, a joint of several axes, one without a position, no torque at all."""
-    last, count = recording.time.size - 1, settings.instants
-    places = np.linspace(EDGE * last, (1.0 - EDGE) * last, count)
-    at = np.interp(places, np.arange(last + 1), recording.time)
+    """The recording at instants that lie evenly among its samples with torques (motors may be off for most of
+    a log); None where its torques cannot be told from its motion: a floating base, a joint of several axes,
+    one without a position, no torque at all."""
     width = max(settings.smoothing, PERIODS * recording.period)
+    time = recording.time[_near_torques(robot, recording, recording.time, width)]
+    if not time.size:
+        return None
+    last = time.size - 1
+    places = np.linspace(EDGE * last, (1.0 - EDGE) * last, settings.instants)
+    at = np.interp(places, np.arange(last + 1), time)
+    at = at[_near_torques(robot, recording, at, width)]
 
     def smoothed(channel: str, joint: str) -> np.ndarray:
         values = recording.get(channel, joint)
@@ -47,6 +57,20 @@ def sampled(robot: Robot, recording: Recording, settings: DataSettings) -> Sampl
         return np.array(local_polynomial(recording.time[known], values[known], at, width))
 
     return sampled_by(robot, recording, smoothed)
+
+
+def _near_torques(robot: Robot, recording: Recording, at: np.ndarray, width: float) -> np.ndarray:
+    """(M,) bool, the instants at which all recorded torques have samples within `width` [s], or within their
+    own period."""
+    near = np.ones(at.size, dtype=bool)
+    for channel in TORQUES:
+        for joint in robot.joint_names:
+            if recording.has(channel, joint):
+                known = recording.time[np.isfinite(recording.get(channel, joint))]
+                nearest = np.interp(at, known, np.arange(known.size)).round().astype(int)
+                own = float(np.median(np.diff(known))) if known.size > 1 else 0.0
+                near &= np.abs(known[nearest] - at) <= max(width, own)
+    return near
 
 
 def sampled_by(

@@ -28,8 +28,8 @@ from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.diagnosis.verdict.held_out import noise_floor
 from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording, expect_several
-from flexjoint.recording.turns import of_robot
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 

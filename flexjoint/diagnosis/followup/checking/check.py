@@ -29,9 +29,9 @@ from flexjoint.diagnosis.search.robust_search import blunted
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.effects import Planned
+from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording
 from flexjoint.recording.table import expect as expect_recording
-from flexjoint.recording.turns import of_robot
 from flexjoint.robot.robot import Robot, expect
 
 

@@ -47,8 +47,8 @@ from flexjoint.diagnosis.search.candidates import Candidate, visible
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.effects import Planned, catalogue
+from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording, expect_several
-from flexjoint.recording.turns import of_robot
 from flexjoint.robot.payload import KnownPayload
 from flexjoint.robot.robot import Robot, expect
 

@@ -9,8 +9,8 @@ from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.recording import table
+from flexjoint.recording.readings.turns import ANGLES, TURN, unwrapped
 from flexjoint.recording.table import Recording
-from flexjoint.recording.turns import ANGLES, TURN, unwrapped
 
 TURRET = nominal("turret")
 
@@ -44,6 +44,13 @@ def test_a_jump_that_is_no_whole_turn_is_left_as_it_is() -> None:
     angle = turning(1.0, 0.0)
     angle[200:] += 4.0  # an encoder that lost its zero
     recording = logged(angle)
+    assert unwrapped(TURRET, recording) is recording
+
+
+def test_degrees_are_no_turns() -> None:
+    """Of which a fast motion takes more than half of 2 pi in a sample; what they are is told later."""
+    recording = logged(np.degrees(turning(6.0, 0.0)))
+    assert np.max(np.abs(np.diff(recording.get("theta", "turn")))) > np.pi
     assert unwrapped(TURRET, recording) is recording
 
 

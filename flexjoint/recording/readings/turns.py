@@ -6,22 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from flexjoint.recording.currents import with_torques
-from flexjoint.recording.glitches import without_glitches
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
 ANGLES = ("q", "theta", "q_ref", "theta_ref")
 TURN = 2.0 * np.pi  # rad
 SUCCESSIVE = 4.5  # sampling periods: what changed over a longer gap is not known
-USUAL = 2.0  # times the largest other step, that one is at most once its whole turns are taken away
-
-
-def of_robot(robot: Robot, recording: Recording) -> Recording:
-    """The recording in the quantities of its robot: torques made of currents (`currents.with_torques`),
-    without readings that failed (`glitches.without_glitches`), and with angles that do not jump by a turn
-    (`unwrapped`)."""
-    return unwrapped(robot, without_glitches(robot, with_torques(robot, recording)))
+USUAL = 2.0  # times the largest other step, that one is at most once its whole turns are taken away, and ...
+FASTEST = 0.125  # ... of a turn, that no other step exceeds: of faster ones, or of degrees, nothing is known
 
 
 def unwrapped(robot: Robot, recording: Recording) -> Recording:
@@ -40,7 +32,9 @@ def unwrapped(robot: Robot, recording: Recording) -> Recording:
         wraps = near & (np.abs(steps) > 0.5 * TURN)  # half a turn in a sample is no motion
         turns = np.where(wraps, np.round(steps / TURN), 0.0)
         usual = float(np.max(np.abs(steps[near & ~wraps]), initial=0.0))
-        if not np.any(wraps) or np.any(np.abs(steps - TURN * turns)[wraps] > USUAL * usual):
+        if not np.any(wraps) or usual > FASTEST * TURN:
+            continue
+        if np.any(np.abs(steps - TURN * turns)[wraps] > USUAL * usual):
             continue
         whole = values.copy()
         whole[rows[1:]] -= TURN * np.cumsum(turns)

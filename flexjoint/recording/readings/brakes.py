@@ -91,8 +91,9 @@ def held_by_brakes(robot: Robot, recording: Recording) -> list[Held]:
     def stays(at: int, until: int) -> np.ndarray:
         """Whether all joints are where they are at a row, in each row from there to another, up to the first
         one in which they are not."""
-        way = slice(at, until + 1) if until >= at else slice(at, until - 1 if until else None, -1)
-        apart = [np.abs(x[way] - x[at]) > slack[joint] for joint, x in angles.items()]
+        step = 1 if until >= at else -1
+        rows = np.arange(at, until + step, step)
+        apart = [np.abs(x[rows] - x[at]) > slack[joint] for joint, x in angles.items()]
         return np.logical_and.accumulate(~np.any(apart, axis=0))
 
     out = []

@@ -17,8 +17,8 @@ from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.signals.excerpt import excerpts
 from flexjoint.diagnosis.signals.signals import prepare
 from flexjoint.recording import table as recording
-from flexjoint.recording.channels import inspected, lag_of
 from flexjoint.recording.checks import check
+from flexjoint.recording.readings.channels import inspected, lag_of
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import load, robots_folder
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from flexjoint.recording.brakes import without_brakes
 from flexjoint.recording.checks import check_rate, check_signs
 from flexjoint.recording.noise import step_of, usual_noise, white_noise
 from flexjoint.recording.table import Recording, was_measured
@@ -68,7 +67,6 @@ def inspected(robot: Robot, recording: Recording) -> Recording:
     Raises RecordingError for a rate at which nothing can be diagnosed, and for torques without their sign.
     """
     check_rate(recording)
-    recording = without_brakes(robot, recording)
     work = _Work(recording, dict(recording.columns))
     for key in list(work.columns):
         if key[0] in MEASURED:

@@ -12,7 +12,7 @@ from support.robots.ur5_logs import ELBOW, NAMES, log, ur5
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.diagnosis.comparison.compare import compare
-from flexjoint.recording.currents import with_torques
+from flexjoint.recording.readings.currents import with_torques
 from flexjoint.recording.table import Recording, make
 from flexjoint.robot.robot import Robot, load
 

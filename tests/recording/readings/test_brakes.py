@@ -9,7 +9,7 @@ from support.diagnose_cases import Case, as_recording, nominal
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.signals.signals import prepare
 from flexjoint.recording import table
-from flexjoint.recording.brakes import held_by_brakes, without_brakes
+from flexjoint.recording.readings.brakes import held_by_brakes, without_brakes
 from flexjoint.recording.table import Recording
 
 TORQUES = ("tau_m", "tau_motor")

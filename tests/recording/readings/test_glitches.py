@@ -8,7 +8,7 @@ from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.recording import table
-from flexjoint.recording.glitches import without_glitches
+from flexjoint.recording.readings.glitches import without_glitches
 from flexjoint.recording.table import Recording
 
 ROBOTS = ("lever", "crane", "turret", "gimbal")
