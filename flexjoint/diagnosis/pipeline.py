@@ -309,7 +309,7 @@ def _diagnosis(
         remaining=joints,
         not_excited=blind,
         within_tolerance=verdict.within_tolerance(best),
-        comparison=case.measured,
+        comparison=case.against_noise,
         next_experiment=advice(case.robot, case.recording, found, case.left, blind),
         ranking=verdict.ranking(selection),
         residuals=case.residuals,

@@ -39,4 +39,5 @@ class Backlash(Effect):
         return ops.where(ops.absolute(s.phi) > 0.5 * p.gap, 1.0, 0.0)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        return grid(self.params, gap=float(np.ptp(s.phi)) * np.array((0.02, 0.06, 0.15, 0.3, 0.5, 0.75)))
+        widest = 2.0 * float(np.max(np.abs(s.phi)))  # a wider one carries nothing, on whichever side
+        return grid(self.params, gap=widest * np.array((0.02, 0.06, 0.15, 0.3, 0.5, 0.75)))

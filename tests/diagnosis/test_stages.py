@@ -303,6 +303,9 @@ def test_the_held_out_error_falls_to_the_noise_floor() -> None:
         assert after < 1.3 * intact.before["rms"][channel], (channel, gain)
         assert after > 0.9 * sensor, (channel, gain)
         assert before > 10 * after, (channel, gain)
+        # which is what is told of the noise
+        left = gain.after["rms"][channel] / gain.noise_floor["simulated"][channel]
+        assert 0.6 < left < 1.5, (channel, gain)
     # what noise in the start state does to positions dies out in the spring
     assert gain.after["rms"]["tau_t.swing"] < 1.2 * gain.noise_floor["rms"]["tau_t.swing"], gain
     assert result.findings[0].gain > 0.99, summary(result)
@@ -325,7 +328,7 @@ def test_the_json_form_has_the_documented_fields() -> None:
     assert set(written["comparison"]) == set(documented["comparison"])
     for side in ("before", "after"):
         assert set(written["comparison"][side]) == {"rms", "nrmse"}
-    assert set(written["comparison"]["noise_floor"]) == {"rms"}
+    assert set(written["comparison"]["noise_floor"]) == {"rms", "simulated"}
 
 
 def test_the_extended_model_is_written_and_read(tmp_path: Path) -> None:

@@ -226,6 +226,15 @@ PLANTED: dict[str, tuple[dict[str, float], ...]] = {
 }
 
 
+def test_gaps_are_looked_for_up_to_where_a_load_closes_them() -> None:
+    """A load that pulls one way bends a spring far more than its changes do, and a gap may be as wide."""
+    t = np.linspace(0.0, 10.0, 500)
+    zeros = np.zeros_like(t)
+    s = Signals(t, q=zeros, theta=zeros, phi=-6e-3 + 3e-4 * np.sin(t), tau_t=zeros, dphi=zeros)
+    gaps = [start["gap"] for start in catalogue()["backlash"].starts(s)]
+    assert min(gaps) < 5e-4 and 8e-3 < max(gaps) < 2.0 * 6.3e-3
+
+
 def test_every_effect_with_starts_is_planted() -> None:
     assert set(PLANTED) == {e.name for e in EFFECTS if e.overrides("starts")}
 

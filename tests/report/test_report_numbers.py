@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,7 @@ from flexjoint.report import series
         (0.011243, 0.00014, "0.01124 ± 0.00014"),  # an error that begins with 1 keeps two digits
         (7056.3, 123.0, "7060 ± 120"),
         (-0.25, 0.3, "-0.2 ± 0.3"),
+        (-1e-4, 0.5, "0.0 ± 0.5"),
         (1.234e-5, 2e-7, "(1.23 ± 0.02)e-05"),
         (3.2e7, 4e5, "(3.20 ± 0.04)e+07"),
         (0.5, float("nan"), "0.5"),
@@ -93,6 +96,8 @@ def test_the_noise_floor_is_put_on_the_scale_of_the_error():
     )
     first = merit.channel_errors(gain)[0]
     assert first.floor == pytest.approx(0.02)  # 0.001 over the standard deviation 0.02 / 0.4
+    grown = replace(gain, noise_floor={**gain.noise_floor, "simulated": {"q.a": 0.004}})
+    assert merit.channel_errors(grown)[0].floor == pytest.approx(0.08)  # what becomes of all noise is more
     assert first.removed == pytest.approx(0.5)
     total = merit.overall(gain)
     assert total.before == pytest.approx(np.sqrt((0.4**2 + 0.3**2) / 2))  # the deflection is left out

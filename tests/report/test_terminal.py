@@ -54,7 +54,7 @@ CAUSES = d.Diagnosis(
         0.5,
         {"rms": NRMSE, "nrmse": NRMSE},
         {"rms": {}, "nrmse": {key: 0.02 for key in NRMSE}},
-        {"nrmse": {key: 0.01 for key in NRMSE}},
+        {"rms": {}, "simulated": {key: 0.01 for key in NRMSE}},
     ),
     next_experiment="load the elbow from both sides",
     notes=("encoder offsets were estimated",),

@@ -237,7 +237,13 @@ def _energy_at(problem: Problem, deviations: np.ndarray, effects: Sequence[Plann
     there = problem.with_nominal([*effects, *deviation_effects(problem, deviations)])
     scale = np.array([problem.torque_scale[r.joint] for r in problem.balances.rows])
     there_white = whitening.make(problem.balances, scale, there, like=problem.whitening)
-    white = there_white.apply(problem.balances.residual(there)).ravel()
+    balances = problem.balances
+    # what shapes the noise in other ways than this whitening knows is evaluated without it
+    known = [e for e in there if whitening.changes_noise(e) or not whitening.shapes_noise(e, balances)]
+    spectra = balances.residual(known)
+    if len(known) < len(there):
+        spectra = spectra + balances.denoised.change(known, there)
+    white = there_white.apply(spectra).ravel()
     # the other nominal numbers (of effects, of jumps) change no noise: they enter to first order
     linear = problem.along(np.where(_as_effects(problem), 0.0, deviations))
     residual = (white - linear) * problem.weights

@@ -413,11 +413,12 @@ def changes_noise(e: Planned) -> bool:
 
 def shapes_noise(e: Planned, balances: Balances) -> bool:
     """Whether an effect that is evaluated on the recording as it is would change its noise: one that changes
-    the balances' noise, or a limit that clips the peaks of a noisy torque."""
+    the balances' noise, a limit that clips the peaks of a noisy torque, or a law by which a joint is
+    stiffer at some deflections than at others, whose noise then is more torque."""
     if e.effect.site is Site.COMMAND and not e.effect.overrides("delay") and e.joint is not None:
         joint = balances.motion.robot.joint_names.index(e.joint)
         return bool(balances.motion.readings.noise["torque"][joint] > 0.0)
-    return changes_noise(e)
+    return changes_noise(e) or e.effect.overrides("slope")
 
 
 def _drive(joint: Joint, effects: Sequence[Planned]) -> Drive:

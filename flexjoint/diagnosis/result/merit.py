@@ -21,7 +21,7 @@ class ChannelError:
     rms_after: float
     before: float  # NRMSE
     after: float
-    floor: float  # NRMSE that sensor noise alone leaves
+    floor: float  # NRMSE that sensor noise alone leaves, in start states and driving torques, too
 
     @property
     def removed(self) -> float:
@@ -95,10 +95,9 @@ def root_mean_square(values: Iterable[float]) -> float:
 
 
 def _floor(gain: Gain, key: str) -> float:
-    """NRMSE of the noise alone: as given, else its RMS over the channel's standard deviation."""
-    given = gain.noise_floor.get("nrmse", {}).get(key)
-    if given is not None:
-        return given
-    noise = gain.noise_floor.get("rms", {}).get(key, MISSING)
+    """NRMSE of the noise alone: its RMS in the simulation, or else in the reading, over the channel's standard
+    deviation."""
+    readings = gain.noise_floor.get("rms", {})
+    noise = gain.noise_floor.get("simulated", {}).get(key, readings.get(key, MISSING))
     rms = gain.before.get("rms", {}).get(key, MISSING)
     return noise * gain.before["nrmse"][key] / rms if rms > 0 else MISSING

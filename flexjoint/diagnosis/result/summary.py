@@ -17,6 +17,7 @@ from flexjoint.diagnosis.result.wording import (
     deviation,
     effect_name,
     fitted,
+    listed,
     number,
     percent,
     sentence,
@@ -47,10 +48,9 @@ def _blocks(result: Result) -> Iterator[Block]:
     yield from _causes("Possible, not in the extended model", sentences.possible(result), joints)
     yield from _lines(sentences.disbelieved(result), style="dim")
     yield from _lines(*sentences.numbers(result))
-    for finding in result.findings:
-        if finding.hidden_by_refit:
-            name = capital(cause(finding.effect, finding.joint))
-            yield Line(f"{name} would be hidden by a refit of the nominal numbers.")
+    hidden = listed(cause(f.effect, f.joint) for f in result.findings if f.hidden_by_refit)
+    if hidden:
+        yield Line(f"{capital(hidden)} would be hidden by a refit of the nominal numbers.")
     yield from _torques(result, joints)
     yield from _errors(result)
     if result.agreement is not None:

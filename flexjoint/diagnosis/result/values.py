@@ -136,7 +136,7 @@ class Gain:
     horizon: float
     before: Mapping[str, Mapping[str, float]]  # {"rms": {...}, "nrmse": {...}}
     after: Mapping[str, Mapping[str, float]]
-    noise_floor: Mapping[str, Mapping[str, float]]
+    noise_floor: Mapping[str, Mapping[str, float]]  # {"rms": readings, "simulated": RMS error that noise makes}
 
 
 @dataclass(frozen=True)

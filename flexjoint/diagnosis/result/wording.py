@@ -159,7 +159,7 @@ def with_error(value: float, std: float) -> str:
         place = -math.floor(math.log10(std))
         decimals = place + 1 if std * 10.0**place < 1.95 else place
         shown = max(decimals, 0)
-        text = f"{round(value, decimals):.{shown}f} ± {round(std, decimals):.{shown}f}"
+        text = f"{round(value, decimals) + 0.0:.{shown}f} ± {round(std, decimals):.{shown}f}"
     return text if power == 0 else f"({text})e{power:+03d}"
 
 

@@ -100,7 +100,7 @@ def prepare(robot: Robot, recording: Recording, settings: Settings = USUAL) -> R
         )
         channels["torque"][row] = values
         valid &= good
-        noise["torque"][row] = _torque_noise(source, own, robot.rates.control) * float(np.sqrt(own / period))
+        noise["torque"][row] = torque_noise(source, own, robot.rates.control) * float(np.sqrt(own / period))
         feedback[row] = source.feedback * _unknown_share(source, own, robot.rates.control)
     if not np.any(np.isfinite(channels["q"]) | np.isfinite(channels["theta"])):
         raise RecordingError(
@@ -187,7 +187,7 @@ def _at_ticks(
     return unique, np.bincount(place_of, weights=command) / counts
 
 
-def _torque_noise(source: Source, period: float, rate: float) -> float:
+def torque_noise(source: Source, period: float, rate: float) -> float:
     """Noise of the torque signal. A command is known exactly where it was recorded. Of `ticks` commands a
     record one is known, which stands for the mean of all: of their white noise, slow as the balances are,
     (1 - 1/ticks)^2 for that one and (ticks - 1) / ticks^2 for the others. What the controller makes of

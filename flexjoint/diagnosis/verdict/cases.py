@@ -15,6 +15,7 @@ from flexjoint.diagnosis.regression.uncertainty import Errors
 from flexjoint.diagnosis.result import Estimation, Finding, Gain, ResidualView, Step, Unexplained
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.verdict import held_out, verdict
+from flexjoint.diagnosis.verdict.noise_floor import noise_floor
 from flexjoint.diagnosis.verdict.reliability import by_simulation, followed
 from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
 from flexjoint.diagnosis.verdict.transients import with_pushes
@@ -128,6 +129,19 @@ class StatedCase(SimulatedCase):
         self.report(0.95, "refining the numbers on the simulation")
         found, estimation = refined.refine(best, self.named, self.workers, self.refining)
         return followed(best, found, estimation), estimation
+
+    @cached_property
+    def against_noise(self) -> Gain | None:
+        """What the set gains, beside what noise alone leaves in its simulation."""
+        if self.measured is None:
+            return None
+        try:
+            with within(self.budget):
+                model = self.robot.extended(self.selection.best.effects)
+                floor = noise_floor(model, self.problem.readings.recording)
+        except OutOfTimeError:
+            return self.measured
+        return replace(self.measured, noise_floor=floor)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -12,9 +12,9 @@ from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Gain
+from flexjoint.diagnosis.verdict.noise_floor import of_readings
 from flexjoint.model.dynamics import FlexibleJointModel
-from flexjoint.recording.noise import white_noise
-from flexjoint.recording.table import MEASURED, Recording
+from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
 
@@ -91,7 +91,7 @@ def comparison(
         raise
     except FlexJointError:
         return None
-    return Gain(held_out, HORIZON, before, after, {"rms": noise_floor(robot, recording)})
+    return Gain(held_out, HORIZON, before, after, {"rms": of_readings(robot, recording)})
 
 
 def errors(recording: Recording, run: Comparison, rows: np.ndarray) -> dict[str, Mapping[str, float]]:
@@ -126,12 +126,3 @@ def _add(
         spread = float(np.nanstd(measured))
         if spread > 0.0:
             nrmse[name] = rms[name] / spread
-
-
-def noise_floor(robot: Robot, recording: Recording) -> dict[str, float]:
-    """Predicted sensor noise per channel: no model can come below it."""
-    return {
-        f"{channel}.{joint}": white_noise(values)
-        for (channel, joint), values in recording.columns.items()
-        if channel in MEASURED and joint in robot.joint_names
-    }

@@ -86,8 +86,9 @@ def test_a_limit_that_clips_a_noisy_torque_explains_nothing() -> None:
     assert nothing - limited < 5.0  # it seemed to explain 17
 
 
-def test_a_gap_of_the_encoders_noise_is_not_told_by_the_motion() -> None:
-    """A joint that twists little: a gap narrower than the noise earns 58 from that noise alone."""
+def test_a_gap_of_the_encoders_noise_explains_nothing() -> None:
+    """A joint that twists little: evaluated on the noisy deflection a gap narrower than the noise earned 58
+    from that noise alone."""
     case = Case("scara_exact", "slow", 6)
     problem = Problem(balances_of(nominal(case.robot), as_recording(case.with_causes())))
     noise = float(problem.readings.noise["q"][1])
@@ -95,7 +96,7 @@ def test_a_gap_of_the_encoders_noise_is_not_told_by_the_motion() -> None:
     loose = replace(fit(problem, []), effects=(gap,), y=problem.residual([gap]))
     gained = problem.energy(problem.residual([])) - problem.energy(loose.y)
 
-    assert gained > 20.0
+    assert gained < 5.0
     assert not shown_by_motion(loose, gained, gap)
 
 

@@ -220,7 +220,7 @@ def test_residuals_are_made_of_what_changes() -> None:
     """Joint by joint against the nominal model's, or all balances at once."""
     here = problem()
     effects = [
-        effect("backlash", "elbow", gap=0.004),
+        effect("cable_spring", "elbow", stiffness=3.0, rest=0.2),
         effect("link_viscous_friction", "shoulder", coefficient=0.4),
     ]
     whole = here.whitened(here.with_nominal(effects))

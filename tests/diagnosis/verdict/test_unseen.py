@@ -58,6 +58,15 @@ def test_where_far_more_is_left_than_a_background_another_cause_may_stand_behind
     assert believed(CAUSE, replace(JOINT, after=15.0, noise=15.0)) > 0.8
 
 
+def test_noise_of_the_sensors_is_no_background() -> None:
+    """A servo with a 12-bit encoder: a friction of 6 % of the torque beside 4.4 % that is noise."""
+    cause = Removed("slide", "motor", without=4.1, left=2.4, structured=0.0, against="t")
+    servo = replace(JOINT, before=4.1, after=2.4, structured=0.0)
+
+    assert believed(cause, replace(servo, noise=2.4)) > 0.8
+    assert believed(cause, replace(servo, noise=0.1)) < 0.5
+
+
 def test_three_convincing_causes_on_a_joint_are_believed_less() -> None:
     assert believed(CAUSE, beside=2) == believed(CAUSE)
     assert believed(CAUSE, beside=3) < believed(CAUSE)

@@ -25,7 +25,7 @@ from flexjoint.diagnosis.regression.uncertainty import Errors, certainty, standa
 from flexjoint.diagnosis.result import Agreement, Diagnosis, Gain, LeftOut, Shown
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
-from flexjoint.diagnosis.verdict.held_out import noise_floor
+from flexjoint.diagnosis.verdict.noise_floor import noise_floor
 from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.readings.quantities import of_robot
@@ -184,14 +184,15 @@ def _left_out(own: Sequence[_Own], k: int) -> LeftOut:
     effects = _from_others(others)
     try:
         before = _errors(compared(FlexibleJointModel(here.robot), _clocked(here)))
-        after = before
+        after, extended = before, here.robot.extended(effects)
         if effects:
-            after = _errors(compared(FlexibleJointModel(here.robot.extended(effects)), _clocked(here)))
+            after = _errors(compared(FlexibleJointModel(extended), _clocked(here)))
+        floor = noise_floor(extended, _clocked(here))
     except OutOfTimeError:
         raise
     except FlexJointError:  # it lacks what a simulation needs, or diverges
         return LeftOut(k, None)
-    return LeftOut(k, Gain(True, HORIZON, before, after, {"rms": noise_floor(here.robot, here.recording)}))
+    return LeftOut(k, Gain(True, HORIZON, before, after, floor))
 
 
 def _from_others(others: Sequence[_Own]) -> list[Planned]:

@@ -13,7 +13,8 @@ from flexjoint.diagnosis.followup.learning.evidence import Evidence
 from flexjoint.diagnosis.followup.learning.judge import Verdict, gained
 from flexjoint.diagnosis.result import Gain
 from flexjoint.diagnosis.result.merit import root_mean_square
-from flexjoint.diagnosis.verdict.held_out import errors, noise_floor
+from flexjoint.diagnosis.verdict.held_out import errors
+from flexjoint.diagnosis.verdict.noise_floor import noise_floor
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.table import Recording
 
@@ -91,8 +92,9 @@ def held(evidence: Evidence, found: Sequence[Verdict]) -> tuple[list[Verdict], G
         except FlexJointError:  # it diverges
             worst = kept[-1]
         if worst is None:
-            floor = noise_floor(evidence.robots[0], evidence.problems[0].readings.recording)
-            return kept, Gain(True, HORIZON, before.errors, after.errors, {"rms": floor})
+            model = evidence.robots[0].extended(evidence.causes)
+            floor = noise_floor(model, evidence.problems[0].readings.recording)
+            return kept, Gain(True, HORIZON, before.errors, after.errors, floor)
         kept.remove(worst)
     return [], None
 
