@@ -214,7 +214,18 @@ def _readable(error: ValidationError, raw: dict[str, Any], where: str) -> FlexJo
         if len(path) > 1:
             kind = (_NAMED if len(path) > 2 else _SINGLE).get(path[0], RobotFile)
         inside = f" in {'.'.join(path[:-1])}" if len(path) > 1 else ""
-        return RobotError(f"{where}{inside}: {unknown('key', path[-1], kind.model_fields)}")
+        return RobotError(
+            f"{where}{inside}: {unknown('key', path[-1], kind.model_fields)}{_elsewhere(path[-1])}"
+        )
     if first["type"] == "missing":
         return RobotError(f"{where}: {'.'.join(path)} is missing; every robot needs it")
     return RobotError(f"{where}: {'.'.join(path)}: {first['msg']}, got {shown(repr(first.get('input')))}")
+
+
+def _elsewhere(key: str) -> str:
+    """Where a key would be known, if that is in another place of a robot file."""
+    if key in RobotFile.model_fields:
+        return f"; '{key}' stands at the top of the file"
+    if key in JointEntry.model_fields:
+        return f"; '{key}' stands in an entry of joints"
+    return ""

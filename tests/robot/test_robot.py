@@ -104,6 +104,8 @@ GAP = {"effect": "backlash", "joint": "elbow", "gap": 0.01}
     ("changes", "said"),
     [
         ({"stiffness": 3}, "unknown key 'stiffness'; valid: base, contacts, continuous, couplings"),
+        ({"stiffness": 3}, "valid: .*; 'stiffness' stands in an entry of joints$"),
+        ({"joints": {"elbow": {**JOINT, "effects": [GAP]}}}, "'effects' stands at the top of the file$"),
         ({"joint": {}}, r"unknown key 'joint' \(did you mean 'joints'"),
         ({"name": None}, "name is missing; every robot needs it"),
         ({"joints": None}, "joints is missing"),

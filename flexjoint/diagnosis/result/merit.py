@@ -95,8 +95,8 @@ def root_mean_square(values: Iterable[float]) -> float:
 
 
 def _floor(gain: Gain, key: str) -> float:
-    """NRMSE of the noise alone: its RMS in the simulation, or else in the reading, over the channel's standard
-    deviation."""
+    """NRMSE of the noise alone: its RMS in the simulation, or else in the reading, over the channel's
+    standard deviation."""
     readings = gain.noise_floor.get("rms", {})
     noise = gain.noise_floor.get("simulated", {}).get(key, readings.get(key, MISSING))
     rms = gain.before.get("rms", {}).get(key, MISSING)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -58,6 +59,11 @@ class Remaining:
     noise: float  # what the sensors' noise alone would leave
     structured: float  # of `after`: what a smooth law of one signal would remove
     against: str  # that signal
+
+    @property
+    def beyond_noise(self) -> float:
+        """[N m, RMS] of `after`, what noise does not make."""
+        return math.sqrt(max(0.0, self.after**2 - self.noise**2))
 
 
 @dataclass(frozen=True)
@@ -136,7 +142,7 @@ class Gain:
     horizon: float
     before: Mapping[str, Mapping[str, float]]  # {"rms": {...}, "nrmse": {...}}
     after: Mapping[str, Mapping[str, float]]
-    noise_floor: Mapping[str, Mapping[str, float]]  # {"rms": readings, "simulated": RMS error that noise makes}
+    noise_floor: Mapping[str, Mapping[str, float]]  # {"rms": of readings, "simulated": by them}
 
 
 @dataclass(frozen=True)

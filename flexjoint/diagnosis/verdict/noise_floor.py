@@ -22,8 +22,8 @@ SEED = 0  # of the noise that is added: any will do
 
 
 def noise_floor(model: Robot, recording: Recording) -> dict[str, dict[str, float]]:
-    """`Gain.noise_floor`, by channel and joint: noise of the readings (`rms`), and the error of a simulation that
-    all noise makes (`simulated`)."""
+    """`Gain.noise_floor`, by channel and joint: noise of the readings (`rms`), and the error of a simulation
+    that all noise makes (`simulated`)."""
     return {"rms": of_readings(model, recording), "simulated": of_simulation(model, recording)}
 
 
@@ -37,10 +37,10 @@ def of_readings(robot: Robot, recording: Recording) -> dict[str, float]:
 
 
 def of_simulation(model: Robot, recording: Recording) -> dict[str, float]:
-    """RMS error by channel and joint that a simulation by the right model, in windows as those of a comparison,
-    has by noise: that of the reading, and what becomes of the noise of the start states and of the driving
-    torques. The latter is measured: it is how far the simulation moves when as much noise again is added to
-    the readings. Empty where the recording cannot drive a simulation.
+    """RMS error by channel and joint that a simulation by the right model, in windows as those of a
+    comparison, has by noise: that of the reading, and what becomes of the noise of the start states and of
+    the driving torques. The latter is measured: it is how far the simulation moves when as much noise again
+    is added to the readings. Empty where the recording cannot drive a simulation.
 
     Raises OutOfTimeError where the time of the work is over."""
     simulated = FlexibleJointModel(model)

@@ -69,9 +69,10 @@ def on_background(
 ) -> float:
     """Probability that a name is right on a machine that also has a background: many small errors that nobody
     names. It grows with the torque that the cause removes over what a background is at most: the usual one,
-    or what is left of the joint's torque beyond the sensors' noise where that is less, down to the least one. It is lower where more is
-    left than a usual background and the sensors' noise, or so much with a shape in the cause's own balance,
-    where a smooth law of one signal would remove much of that, and where many causes are needed on one joint:
+    or what is left of the joint's torque beyond the sensors' noise where that is less, down to the least
+    one. It is lower where more is left than a usual background and the sensors' noise, or so much with a
+    shape in the cause's own balance, where a smooth law of one signal would remove much of that, and where
+    many causes are needed on one joint:
     `beside` counts the convincing ones there, this one included. Ordinary friction every machine has:
     whatever else is left, or acts beside it, says nothing against it, and a shape that is left is held
     against all friction of its joint, which removes `friction` [N m] together."""
@@ -80,14 +81,13 @@ def on_background(
         return 0.0
     size = float(np.sqrt(max(removed.without**2 - removed.left**2, 1e-300)))
     usual = settings.background_typical * own.torque
-    beyond_noise = float(np.sqrt(max(0.0, own.after**2 - own.noise**2)))
-    background = max(min(usual, beyond_noise), settings.background_least * own.torque)
+    background = max(min(usual, own.beyond_noise), settings.background_least * own.torque)
     odds = settings.background_size * float(np.log10(size / (settings.background_even * background)))
     shaped = settings.background_shaped * max(size, friction or 0.0)
     odds -= settings.background_shape * _decades(removed.structured / shaped)
     if friction is None:
         # the joint's torque does not show what is left of its spring's, which acts on both sides
-        odds -= settings.background_more * _decades(max(beyond_noise, removed.structured) / usual)
+        odds -= settings.background_more * _decades(max(own.beyond_noise, removed.structured) / usual)
         odds -= settings.belief_crowd * max(0, beside - settings.crowd)
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))
 

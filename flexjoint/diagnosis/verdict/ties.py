@@ -7,9 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, refit_without
-from flexjoint.diagnosis.result import Tie
+from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
+from flexjoint.diagnosis.result import Remaining, Tie
+from flexjoint.diagnosis.result.wording import percent
 from flexjoint.diagnosis.search.criteria import score, unexplained_energy
+from flexjoint.diagnosis.verdict.unseen import joint_left, unseen_problem
 from flexjoint.effects import Kind, Planned
 
 
@@ -64,6 +66,33 @@ def ties(
         if why:
             text = f"{why}: with these sensors and this motion the two cannot be distinguished"
             out.append(Tie(other.effect.name, other.joint, text))
+    return tuple(out)
+
+
+def special_cases(best: Fit, planned: Planned, own: Remaining | None) -> tuple[Tie, ...]:
+    """Simpler laws that the found one contains, where its further numbers remove no more of its joint's
+    torque than the small errors do that are left there (`own`): these may be what the numbers describe.
+    Their sum is no noise, so no chi-square tells how much of it a number takes up by chance."""
+    if own is None or planned.since is not None:
+        return ()
+    limits, out = best.settings.verdict, []
+    background = min(limits.background_typical * own.torque, own.beyond_noise)
+    for name in planned.effect.contains:
+        simpler = planned.special_cases(name)
+        others = [e for e in best.effects if e is not planned]
+        if any(e.key in {one.key for one in simpler} for e in others):
+            continue
+        seen = unseen_problem(best.problem)
+        left, least = (
+            joint_left(fit(seen, effects), own.joint)[0] for effects in ([*others, *simpler], best.effects)
+        )
+        more = float(np.sqrt(max(0.0, left**2 - least**2)))
+        if more < limits.background_even * background:
+            text = (
+                f"is a special case of it, with which {percent(more / own.torque)} of the joint's torque are"
+                " left: small errors that have no name make as much there"
+            )
+            out.append(Tie(name, planned.joint, text))
     return tuple(out)
 
 

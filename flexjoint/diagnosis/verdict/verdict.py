@@ -18,7 +18,7 @@ from flexjoint.diagnosis.search.criteria import (
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability
-from flexjoint.diagnosis.verdict.ties import preferred, ties
+from flexjoint.diagnosis.verdict.ties import preferred, special_cases, ties
 from flexjoint.diagnosis.verdict.unseen import Unseen, friction, remaining, removed, spoils
 from flexjoint.effects import Kind, Planned, Site
 
@@ -56,6 +56,9 @@ def findings(
         rivals = selection.rivals[k] if k < len(selection.rivals) else ()
         rivals = tuple(rival for rival in rivals if not needs_implausible(rival, best))
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
+        own = next((one for one in joints if one.joint == planned.joint), None)
+        known = {(tie.effect, tie.joint) for tie in tied}
+        tied += tuple(t for t in special_cases(best, planned, own) if (t.effect, t.joint) not in known)
         left, share = left_by(best, k)
         believed = reliability(best, left, share, k)
         if not spoils(data, k):

@@ -12,8 +12,9 @@ from support.thorough import sample
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.settings import USUAL
-from flexjoint.diagnosis.verdict.ties import ties
+from flexjoint.diagnosis.verdict.ties import special_cases, ties
 from flexjoint.effects import effect
 
 
@@ -54,6 +55,27 @@ def test_a_rival_that_leaves_more_than_the_methods_error_is_none(friction: Fit) 
     count = friction.y.size // len(friction.problem.balances.rows)
     worse = rival_of(friction, 400.0, slice(count // 2, count // 2 + 12))
     assert not ties(friction, cause, [worse])
+
+
+@pytest.mark.parametrize(("extra", "told"), [(0.04, False), (0.4, True)])
+def test_a_further_number_must_remove_more_than_the_small_errors_that_are_left(
+    extra: float, told: bool
+) -> None:
+    """Friction that is higher at low speed, by little and by much, on a machine that leaves noise, and on
+    one that leaves as much for reasons that nobody names."""
+    rubs = Planted("stribeck_friction", "turn", {"level": 0.4, "static_extra": extra, "velocity": 0.4})
+    problem = Problem(
+        balances_of(nominal("turret"), as_recording(Case("turret", "rich", 3).with_causes(rubs)))
+    )
+    found = fit(problem, [effect(rubs.effect, "turn", **rubs.parameters)])
+    torque, (cause,) = float(problem.torque_scale[0]), found.effects
+    clean = Remaining("turn", torque, before=0.4, after=0.03, noise=0.03, structured=0.0, against="t")
+    dirty = replace(clean, after=0.04)
+
+    assert found.energy < 1.5 * problem.freedom  # noise, and what remains of friction at rest
+    assert not special_cases(found, cause, clean)
+    ties = [tie.effect for tie in special_cases(found, cause, dirty)]
+    assert ties == ([] if told else ["motor_coulomb_friction"])
 
 
 def test_on_one_joint_a_late_torque_is_late_readings() -> None:
