@@ -13,6 +13,8 @@ from flexjoint.diagnosis.result.wording import (
     capital,
     cause,
     clean,
+    deviation,
+    effect_name,
     listed,
     number,
     parameters,
@@ -86,7 +88,7 @@ def _of_machine(diagnosis: Result, gain: Gain | None, joints: Joints) -> tuple[S
     else:
         said = (
             Statement("Is it there?", pushes(diagnosis, joints) or (_nothing_named(diagnosis),)),
-            Statement("What is left?", (*_left(diagnosis, joints), *_error_stays(gain))),
+            Statement("What is left?", (*_left(diagnosis, joints), *_error_stays(diagnosis, gain))),
             Statement("What next?", _next(diagnosis)),
         )
     return tuple(statement for statement in said if statement.lines)
@@ -252,7 +254,24 @@ def _nothing_named(diagnosis: Result) -> str:
     where = "" if worst is None else f" at {clean(worst.joint)}"
     if worst is None and diagnosis.unexplained:
         where = f" at {clean(max(diagnosis.unexplained, key=lambda u: u.share).joint)}"
-    return f"The simulation is wrong{where}, and no effect of the catalogue accounts for it."
+    if worst is None or not _mostly_tolerances(worst):
+        return f"The simulation is wrong{where}, and no effect of the catalogue accounts for it."
+    off = [
+        f"{effect_name(w.effect)} {deviation(w.effect, w.value, w.joint in diagnosis.prismatic)}"
+        for w in diagnosis.within_tolerance
+        if w.joint == worst.joint
+    ]
+    numbers = f" ({listed(off)})" if off else ""
+    gone = percent(1.0 - worst.after / worst.before)
+    return (
+        f"Nominal numbers within their tolerances account for {gone} of the torque error{where}{numbers}. For"
+        " what is left no effect of the catalogue accounts."
+    )
+
+
+def _mostly_tolerances(joint: Remaining) -> bool:
+    """Whether numbers within their tolerances remove most of a joint's torque error."""
+    return joint.after < 0.5 * joint.before
 
 
 # ------------------------------------------------------------------ is it all?
@@ -362,10 +381,13 @@ def _healthy(diagnosis: Result, gain: Gain | None) -> tuple[str, ...]:
     return first, f"{_departs(gain, total)}."
 
 
-def _error_stays(gain: Gain | None) -> tuple[str, ...]:
+def _error_stays(diagnosis: Result, gain: Gain | None) -> tuple[str, ...]:
     total = merit.overall(gain)
     if gain is None or total is None:
         return ()
+    worst = torque.most_left(diagnosis.remaining)
+    if worst is not None and _mostly_tolerances(worst):
+        return (f"{_departs(gain, total)}, with the nominal numbers as they are.",)
     return (f"{_departs(gain, total)}, and nothing that was tried removes it.",)
 
 
