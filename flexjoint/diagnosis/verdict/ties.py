@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
+from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.result import Remaining, Tie
 from flexjoint.diagnosis.result.wording import percent
 from flexjoint.diagnosis.search.criteria import score, unexplained_energy
-from flexjoint.diagnosis.verdict.unseen import joint_left, unseen_problem
+from flexjoint.diagnosis.verdict.unseen import lowered, small_errors
 from flexjoint.effects import Kind, Planned
 
 
@@ -41,6 +41,8 @@ def ties(
         hinted = best.energy - rival.energy > limits.sure**2
         if (wider and not hinted) or len(out) >= limits.most_ties:
             continue
+        if any((tie.effect, tie.joint) == (other.effect.name, other.joint) for tie in out):
+            continue  # from another start
         why = ""
         # a load along shifted angles is known to first order in the shift
         errors = best.settings.search
@@ -75,19 +77,14 @@ def special_cases(best: Fit, planned: Planned, own: Remaining | None) -> tuple[T
     Their sum is no noise, so no chi-square tells how much of it a number takes up by chance."""
     if own is None or planned.since is not None:
         return ()
-    limits, out = best.settings.verdict, []
-    background = min(limits.background_typical * own.torque, own.beyond_noise)
+    out = []
     for name in planned.effect.contains:
         simpler = planned.special_cases(name)
         others = [e for e in best.effects if e is not planned]
         if any(e.key in {one.key for one in simpler} for e in others):
             continue
-        seen = unseen_problem(best.problem)
-        left, least = (
-            joint_left(fit(seen, effects), own.joint)[0] for effects in ([*others, *simpler], best.effects)
-        )
-        more = float(np.sqrt(max(0.0, left**2 - least**2)))
-        if more < limits.background_even * background:
+        more = lowered(best, [*others, *simpler], own.joint)
+        if more < small_errors(own, best.settings.verdict):
             text = (
                 f"is a special case of it, with which {percent(more / own.torque)} of the joint's torque are"
                 " left: small errors that have no name make as much there"

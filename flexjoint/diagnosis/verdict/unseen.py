@@ -176,6 +176,21 @@ def joint_left(fitted: Fit, joint: str) -> tuple[float, tuple[float, ...]]:
     return min(found, key=lambda one: one[0])
 
 
+def lowered(best: Fit, instead: Sequence[Planned], joint: str) -> float:
+    """[N m, RMS] by which a set leaves less of a joint's torque than other effects instead, each fitted
+    anew, where the fits did not look."""
+    seen = unseen_problem(best.problem)
+    least, left = (joint_left(fit(seen, effects), joint)[0] for effects in (best.effects, instead))
+    return float(np.sqrt(max(0.0, left**2 - least**2)))
+
+
+def small_errors(joint: Remaining, settings: VerdictSettings) -> float:
+    """[N m, RMS] up to which a torque may be the sum of small errors that nobody names: of the size that a
+    machine usually has, or as much as is left of the joint where that is less."""
+    background = min(settings.background_typical * joint.torque, joint.beyond_noise)
+    return settings.background_even * background
+
+
 def uncorrected(problem: Recorded, effects: Sequence[Planned]) -> np.ndarray:
     """(rows, N) what effects leave beside the nominal numbers as they are, about its mean where encoder
     offsets are free."""

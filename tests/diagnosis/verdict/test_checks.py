@@ -13,9 +13,11 @@ from support.diagnose_cases import as_recording, nominal
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
+from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict.cases import Case
-from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection, uncertain
+from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection, nested, uncertain
+from flexjoint.diagnosis.verdict.checks.nested import BesideItsSpecialCase
 from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
 from flexjoint.diagnosis.verdict.review import notes, reviewed
@@ -68,6 +70,26 @@ def test_no_friction_is_named_at_a_joint_that_never_moves() -> None:
     case: Any = SimpleNamespace(selection=SimpleNamespace(best=best))
     (objection,) = FrictionAtRest().objections(case)
     assert objection.effect is rubbing[1] and "elbow never moves" in objection.why
+
+
+@pytest.mark.parametrize(("adds", "objects"), [(0.05, True), (0.2, False)])
+def test_a_law_beside_its_special_case_must_add_more_than_small_errors(
+    adds: float, objects: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 10 N m 0.05 are left, of which noise makes 0.03: small errors may make 2.5 times the other 0.04."""
+    laws = [
+        effect("motor_coulomb_friction", "elbow", level=4.6),
+        effect("dahl_friction", "elbow", level=1.0, scale=5e-4),
+        effect("dahl_friction", "wrist", level=1.0, scale=5e-4),  # alone on its joint
+    ]
+    left = [Remaining(j, 10.0, 5.0, 0.05, 0.03, 0.0, "t") for j in ("elbow", "wrist")]
+    monkeypatch.setattr(nested, "remaining", lambda _unseen: left)
+    monkeypatch.setattr(nested, "lowered", lambda _best, _others, _joint: adds)
+    best = SimpleNamespace(effects=tuple(laws), settings=USUAL)
+    case: Any = SimpleNamespace(selection=SimpleNamespace(best=best), unseen=None)
+
+    found = [o.effect for o in BesideItsSpecialCase().objections(case)]
+    assert found == ([laws[1]] if objects else [])
 
 
 def test_a_set_that_was_changed_is_asked_again_from_the_first_check_on() -> None:

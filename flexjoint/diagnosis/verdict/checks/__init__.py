@@ -11,6 +11,7 @@ from flexjoint.diagnosis.verdict.checks.contradicted import ContradictedByABalan
 from flexjoint.diagnosis.verdict.checks.finer import FinerThanKnown
 from flexjoint.diagnosis.verdict.checks.improbable import Improbable
 from flexjoint.diagnosis.verdict.checks.known_name import KnownName
+from flexjoint.diagnosis.verdict.checks.nested import BesideItsSpecialCase
 from flexjoint.diagnosis.verdict.checks.shrunk import ShrunkLaw
 from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
@@ -21,6 +22,7 @@ NAMES: tuple[Check[Case], ...] = (KnownName(),)
 SIMULATION: tuple[Check[SimulatedCase], ...] = (WorseSimulation(),)
 FINDINGS: tuple[Check[StatedCase], ...] = (
     FrictionAtRest(),
+    BesideItsSpecialCase(),
     Improbable(),
     AbsentOnTheSimulation(),
     FinerThanKnown(),
