@@ -119,7 +119,10 @@ def test_causes_are_named_with_numbers_and_ties(pages):
         "4.02 N m torque error at elbow, nominal model 0.161 N m torque error there, with the causes",
         "Torque error by joint",
         "cannot distinguish motor Coulomb friction at elbow from Stribeck friction at elbow or asymmetric"
-        " friction at elbow: the motion never rests",
+        " friction at elbow: Stribeck friction at elbow fits as well, as the motion never rests; asymmetric"
+        " friction at elbow fits as well, as the motion never rests.",
+        "Not distinguishable from Stribeck friction at elbow or asymmetric friction at elbow. Each fits as"
+        " well, as the motion never rests.",
         "Motor Coulomb friction at elbow",
         "Dry friction on the motor shaft",
         "97 %",

@@ -32,7 +32,7 @@ def backlash(joint: str = "elbow") -> d.Finding:
         0.31,
         "mechanical",
         effect("backlash", joint, gap=0.0112),
-        indistinguishable=(d.Tie("transmission_error", joint, "the load keeps its sign"),),
+        indistinguishable=(d.Tie("transmission_error", joint, "fits as well, as the load keeps its sign"),),
         hidden_by_refit=True,
         removed=d.Removed(joint, "spring", 3.1, 0.21, 0.1, "phi"),
     )
@@ -105,7 +105,8 @@ def test_everything_that_was_found_is_said():
         "Is it all? 0.6 N m of 4 N m are left at elbow (15 %): 6.0 % of its torque and 3 times sensor noise.",
         "Of what is left at elbow, 0.45 N m follow link position q of a, by a law that no named cause has.",
         "Is it this law? This recording cannot distinguish backlash at elbow from transmission error at"
-        " elbow: the load keeps its sign. Next experiment: load the elbow from both sides.",
+        " elbow: it fits as well, as the load keeps its sign. Next experiment: load the elbow from both"
+        " sides.",
         "backlash gap 0.0112 ± 0.0002 rad 97 % spring's torque",
         "since t = 4 s",
         "would be hidden by a refit",

@@ -109,9 +109,7 @@ def gain(before: Simulated, after: Simulated) -> d.Gain:
     )
 
 
-def friction(
-    joint: str = "elbow", why: str = "the motion never rests, so stiction does not show"
-) -> d.Finding:
+def friction(joint: str = "elbow", why: str = "fits as well, as the motion never rests") -> d.Finding:
     values = {"level": 0.4}
     return d.Finding(
         "motor_coulomb_friction",

@@ -126,12 +126,15 @@ def ties(diagnosis: Result) -> tuple[str, ...]:
     for finding in diagnosis.findings:
         if not finding.indistinguishable:
             continue
-        others = listed((cause(tie.effect, tie.joint) for tie in finding.indistinguishable), "or")
-        why = "; ".join(dict.fromkeys(clean(tie.why).rstrip(". ") for tie in finding.indistinguishable))
-        name = cause(finding.effect, finding.joint)
-        said.append(
-            sentence(f"This recording cannot distinguish {name} from {others}" + (f": {why}" if why else ""))
+        names = [cause(tie.effect, tie.joint) for tie in finding.indistinguishable]
+        whys = [clean(tie.why).rstrip(". ") for tie in finding.indistinguishable]
+        subjects = names if len(names) > 1 else ["it"]
+        why = "; ".join(
+            f"{subject} {reason}" for subject, reason in zip(subjects, whys, strict=True) if reason
         )
+        name = cause(finding.effect, finding.joint)
+        beginning = f"This recording cannot distinguish {name} from {listed(names, 'or')}"
+        said.append(sentence(f"{beginning}: {why}" if why else beginning))
     return tuple(said)
 
 

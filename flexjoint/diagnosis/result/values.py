@@ -26,7 +26,8 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Tie:
-    """Another cause that would explain the same, and why the data cannot decide."""
+    """Another cause that would explain the same, and what it does that leaves the data undecided (`why`, from
+    the verb on)."""
 
     effect: str
     joint: str | None

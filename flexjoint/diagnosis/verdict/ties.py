@@ -66,8 +66,7 @@ def ties(
         elif little and not _worse_throughout(best, rival):
             why = f"fits these data as well except at single moments (its score differs by {behind:+.1f})"
         if why:
-            text = f"{why}: with these sensors and this motion the two cannot be distinguished"
-            out.append(Tie(other.effect.name, other.joint, text))
+            out.append(Tie(other.effect.name, other.joint, why))
     return tuple(out)
 
 

@@ -103,4 +103,10 @@ def _ties(finding: Finding) -> tuple[TieLine, ...]:
     by_reason: dict[str, list[str]] = {}
     for tie in finding.indistinguishable:
         by_reason.setdefault(tie.why, []).append(cause(tie.effect, tie.joint))
-    return tuple(TieLine(listed(names, "or"), sentence(capital(why))) for why, names in by_reason.items())
+    return tuple(
+        TieLine(
+            listed(names, "or"),
+            sentence(f"{'It' if len(names) == 1 else 'Each'} {clean(why)}") if why else "",
+        )
+        for why, names in by_reason.items()
+    )
