@@ -10,7 +10,7 @@ import numpy as np
 from flexjoint.core.errors import FlexJointError
 from flexjoint.core.running.budget import OutOfTimeError
 from flexjoint.diagnosis.comparison.compare import Comparison, compared
-from flexjoint.diagnosis.signals.command import torque_source
+from flexjoint.diagnosis.signals.command import Source
 from flexjoint.diagnosis.signals.signals import torque_noise
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.noise import white_noise
@@ -64,14 +64,13 @@ def _noisier(robot: Robot, recording: Recording) -> Recording:
     rng = np.random.default_rng(SEED)
     driving = torque_channel(recording, robot.joint_names)
     columns = dict(recording.columns)
-    for (channel, joint), values in recording.columns.items():
+    for (channel, joint), values in sorted(columns.items(), key=lambda c: c[0]):  # the same in whatever order
         if joint not in robot.joint_names:
             continue
         if channel in MEASURED:
             noise = white_noise(values)
         elif channel == driving:
-            source = torque_source(robot, recording, robot.joints[robot.joint_names.index(joint)])
-            assert source is not None  # there is such a column
+            source = Source(values, held=channel == "tau_m", origin=channel)
             noise = torque_noise(source, recording.period, robot.rates.control)
         else:
             continue

@@ -57,8 +57,9 @@ def findings(
         rivals = tuple(rival for rival in rivals if not needs_implausible(rival, best))
         tied = ties(best, planned, rivals, selection.explains.get(planned.key))
         own = next((one for one in joints if one.joint == planned.joint), None)
-        known = {(tie.effect, tie.joint) for tie in tied}
-        tied += tuple(t for t in special_cases(best, planned, own) if (t.effect, t.joint) not in known)
+        simpler = special_cases(best, planned, own)
+        known = {(tie.effect, tie.joint) for tie in simpler}
+        tied = (*simpler, *(tie for tie in tied if (tie.effect, tie.joint) not in known))
         left, share = left_by(best, k)
         believed = reliability(best, left, share, k)
         if not spoils(data, k):
@@ -77,7 +78,7 @@ def findings(
                 gains[k],
                 str(planned.effect.kind),
                 planned,
-                tied,
+                tied[: limits.most_ties],
                 hidden_by_refit=_hidden_by_refit(selection, k),
                 note="change against the nominal model's own entry" if listed is not None else "",
                 left=left,
