@@ -156,6 +156,13 @@ def test_nobody_is_blamed_for_what_tolerances_cover():
     assert "wrong at a" not in text and "93" not in text
 
 
+def test_what_is_noise_is_called_so():
+    """Of a small error under noisy currents 57 % are left, and nobody can do better."""
+    noisy = replace(CAUSES, remaining=(d.Remaining("elbow", 10.0, 0.8, 0.456, 0.45, 0.0, "t"),))
+    said = "0.456 N m of 0.8 N m are left at elbow (57 %): 4.6 % of its torque and no more than sensor noise."
+    assert said in words(noisy)
+
+
 def test_most_of_an_error_may_be_numbers_within_their_tolerances():
     """Nobody who reads on would think that the simulation cannot be mended."""
     covered = replace(

@@ -27,6 +27,7 @@ from flexjoint.diagnosis.result.wording import (
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Kind
 
+AS_NOISE = 1.1  # times noise: it is predicted no better
 MOST_PAIRS = 3  # of them that are named
 DATA = "Are the data right?"
 REPAIR = (
@@ -331,7 +332,10 @@ def _of_joint(left: Remaining, joints: Joints, verb: str, opening: str = "") -> 
     if left.torque > 0.0:
         parts.append(f"{percent(left.after / left.torque)} of its torque")
     if left.noise > 0.0:
-        parts.append(f"{number(left.after / left.noise, 2)} times sensor noise")
+        times = left.after / left.noise
+        parts.append(
+            "no more than sensor noise" if times < AS_NOISE else f"{number(times, 2)} times sensor noise"
+        )
     return sentence(f"{text}: {listed(parts)}" if parts else text)
 
 
