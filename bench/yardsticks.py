@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import flexjoint as fj
-from flexjoint.diagnosis.verdict.unseen import torque_errors
+from flexjoint.diagnosis.verdict.unseen.torques import torque_errors
 
 ROBOTS = Path(__file__).parents[1] / "robots"
 BY_HAND = {

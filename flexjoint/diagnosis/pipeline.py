@@ -38,7 +38,7 @@ from flexjoint.diagnosis.verdict.joints.friction import FRICTION
 from flexjoint.diagnosis.verdict.joints.search import JOINT_SEARCH
 from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
 from flexjoint.diagnosis.verdict.review import notes, reviewed
-from flexjoint.diagnosis.verdict.unseen import remaining, standing_out
+from flexjoint.diagnosis.verdict.unseen.torques import standing_out
 from flexjoint.effects import catalogue
 from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording, expect_several
@@ -294,7 +294,7 @@ def _diagnosis(
     """What a reviewed case says."""
     selection, best = case.selection, case.selection.best
     named, estimation = case.estimated
-    limits, joints = task.settings.verdict, remaining(case.unseen)
+    limits, joints = task.settings.verdict, case.remaining
     found = verdict.merged(named, candidates, limits)
     rigid = all(joint.rigid for joint in case.robot.joints)
     shaped = standing_out(joints, limits)

@@ -12,14 +12,16 @@ from flexjoint.diagnosis.refinement import refined
 from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
-from flexjoint.diagnosis.result import Estimation, Finding, Gain, ResidualView, Step, Unexplained
+from flexjoint.diagnosis.result import Estimation, Finding, Gain, Remaining, ResidualView, Step, Unexplained
 from flexjoint.diagnosis.search.selection import Key, Selection
-from flexjoint.diagnosis.verdict import held_out, verdict
-from flexjoint.diagnosis.verdict.noise_floor import noise_floor
+from flexjoint.diagnosis.verdict import verdict
 from flexjoint.diagnosis.verdict.reliability import by_simulation, followed
 from flexjoint.diagnosis.verdict.residuals import explained_share, residual_views, unexplained_balances
 from flexjoint.diagnosis.verdict.transients import with_pushes
-from flexjoint.diagnosis.verdict.unseen import Unseen, unseen
+from flexjoint.diagnosis.verdict.unseen.noise_floor import noise_floor
+from flexjoint.diagnosis.verdict.unseen.simulation import comparison
+from flexjoint.diagnosis.verdict.unseen.simulation import gains as gains_of
+from flexjoint.diagnosis.verdict.unseen.torques import Unseen, remaining, unseen
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
@@ -60,10 +62,10 @@ class SimulatedCase(Case):
         return replace(self, measured=self.gain(self.selection.best, self.measured))
 
     def gain(self, best: Fit, known: Gain | None = None, nothing: Fit | None = None) -> Gain | None:
-        """`held_out.comparison` of a set, in the time that is allowed."""
+        """`comparison` of a set, in the time that is allowed."""
         try:
             with within(self.budget):
-                return held_out.comparison(self.robot, self.recording, self.problem, best, known, nothing)
+                return comparison(self.robot, self.recording, self.problem, best, known, nothing)
         except OutOfTimeError:
             self.late[:] = [LATE]
             return None
@@ -103,9 +105,13 @@ class StatedCase(SimulatedCase):
         return unseen(self.selection.best, self.selection.nothing)
 
     @cached_property
+    def remaining(self) -> tuple[Remaining, ...]:
+        return remaining(self.unseen)
+
+    @cached_property
     def named(self) -> tuple[Finding, ...]:
         """The findings with the numbers of the balances."""
-        gains = held_out.gains(self.problem, self.selection.best)
+        gains = gains_of(self.problem, self.selection.best)
         return verdict.findings(self.selection, gains, self.unseen, self._simulated, self.spread)
 
     def _simulated(self, k: int, beside: int) -> float:

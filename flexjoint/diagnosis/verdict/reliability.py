@@ -19,6 +19,7 @@ from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.result import Estimation, Finding, Gain, Remaining, Removed
 from flexjoint.diagnosis.search.criteria import torque_shares
 from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.diagnosis.verdict.unseen.torques import background
 from flexjoint.effects import Planned
 
 LEAST_SHARE = 1e-7  # of a variance: what is less is rounding
@@ -81,8 +82,8 @@ def on_background(
         return 0.0
     size = float(np.sqrt(max(removed.without**2 - removed.left**2, 1e-300)))
     usual = settings.background_typical * own.torque
-    background = max(min(usual, own.beyond_noise), settings.background_least * own.torque)
-    odds = settings.background_size * float(np.log10(size / (settings.background_even * background)))
+    most = max(background(own, settings), settings.background_least * own.torque)
+    odds = settings.background_size * float(np.log10(size / (settings.background_even * most)))
     shaped = settings.background_shaped * max(size, friction or 0.0)
     odds -= settings.background_shape * _decades(removed.structured / shaped)
     if friction is None:

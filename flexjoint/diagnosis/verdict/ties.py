@@ -11,7 +11,7 @@ from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.result import Remaining, Tie
 from flexjoint.diagnosis.result.wording import percent
 from flexjoint.diagnosis.search.criteria import score, unexplained_energy
-from flexjoint.diagnosis.verdict.unseen import lowered, small_errors
+from flexjoint.diagnosis.verdict.unseen.torques import lowered, small_errors
 from flexjoint.effects import Kind, Planned
 
 

@@ -19,7 +19,7 @@ from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability
 from flexjoint.diagnosis.verdict.ties import preferred, special_cases, ties
-from flexjoint.diagnosis.verdict.unseen import Unseen, friction, remaining, removed, spoils
+from flexjoint.diagnosis.verdict.unseen.torques import Unseen, friction, remaining, removed, spoils
 from flexjoint.effects import Kind, Planned, Site
 
 

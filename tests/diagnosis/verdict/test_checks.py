@@ -83,10 +83,9 @@ def test_a_law_beside_its_special_case_must_add_more_than_small_errors(
         effect("dahl_friction", "wrist", level=1.0, scale=5e-4),  # alone on its joint
     ]
     left = [Remaining(j, 10.0, 5.0, 0.05, 0.03, 0.0, "t") for j in ("elbow", "wrist")]
-    monkeypatch.setattr(nested, "remaining", lambda _unseen: left)
     monkeypatch.setattr(nested, "lowered", lambda _best, _others, _joint: adds)
     best = SimpleNamespace(effects=tuple(laws), settings=USUAL)
-    case: Any = SimpleNamespace(selection=SimpleNamespace(best=best), unseen=None)
+    case: Any = SimpleNamespace(selection=SimpleNamespace(best=best), remaining=left)
 
     found = [o.effect for o in BesideItsSpecialCase().objections(case)]
     assert found == ([laws[1]] if objects else [])

@@ -25,7 +25,7 @@ from flexjoint.diagnosis.regression.uncertainty import Errors, certainty, standa
 from flexjoint.diagnosis.result import Agreement, Diagnosis, Gain, LeftOut, Shown
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.excerpt import excerpts
-from flexjoint.diagnosis.verdict.noise_floor import noise_floor
+from flexjoint.diagnosis.verdict.unseen.noise_floor import noise_floor
 from flexjoint.effects import Planned
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.readings.quantities import of_robot

@@ -11,7 +11,7 @@ from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.result.known import Known
 from flexjoint.diagnosis.settings import Settings
-from flexjoint.diagnosis.verdict.unseen import View, away, in_views, remaining, standing_out
+from flexjoint.diagnosis.verdict.unseen.torques import View, away, in_views, remaining, standing_out
 
 
 def left_by(best: Fit, nothing: Fit | None = None) -> tuple[Remaining, ...]:

@@ -17,7 +17,7 @@ from flexjoint.diagnosis.followup.learning.evidence import Evidence, Part, read_
 from flexjoint.diagnosis.followup.learning.places import worst_place
 from flexjoint.diagnosis.followup.learning.splines import followed, signals_of
 from flexjoint.diagnosis.result import Removed
-from flexjoint.diagnosis.verdict.unseen import left_beside
+from flexjoint.diagnosis.verdict.unseen.torques import left_beside
 from flexjoint.effects import Planned
 
 Make = Callable[[Evidence], Planned | None]  # a law of some evidence; None where that supports none

@@ -13,8 +13,8 @@ from flexjoint.diagnosis.followup.learning.evidence import Evidence
 from flexjoint.diagnosis.followup.learning.judge import Verdict, gained
 from flexjoint.diagnosis.result import Gain
 from flexjoint.diagnosis.result.merit import root_mean_square
-from flexjoint.diagnosis.verdict.held_out import errors
-from flexjoint.diagnosis.verdict.noise_floor import noise_floor
+from flexjoint.diagnosis.verdict.unseen.noise_floor import noise_floor
+from flexjoint.diagnosis.verdict.unseen.simulation import errors
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.table import Recording
 

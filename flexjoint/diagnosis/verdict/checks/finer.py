@@ -10,7 +10,7 @@ from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import StatedCase
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
 from flexjoint.diagnosis.verdict.checks._numbers import correlation, distance, fitted_number
-from flexjoint.diagnosis.verdict.unseen import joint_left, unseen_problem
+from flexjoint.diagnosis.verdict.unseen.torques import joint_left, unseen_problem
 from flexjoint.effects import Parameter, Planned, numbers_beyond
 
 

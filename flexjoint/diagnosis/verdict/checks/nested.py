@@ -3,7 +3,7 @@ from __future__ import annotations
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import StatedCase
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
-from flexjoint.diagnosis.verdict.unseen import lowered, remaining, small_errors
+from flexjoint.diagnosis.verdict.unseen.torques import lowered, small_errors
 
 
 class BesideItsSpecialCase(Check[StatedCase]):
@@ -28,7 +28,7 @@ class BesideItsSpecialCase(Check[StatedCase]):
         ]
         if not nested:
             return ()
-        left = {joint.joint: joint for joint in remaining(case.unseen)}
+        left = {joint.joint: joint for joint in case.remaining}
         for planned in nested:
             own = left.get(str(planned.joint))
             if own is None:

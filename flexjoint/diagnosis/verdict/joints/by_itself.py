@@ -26,7 +26,7 @@ from flexjoint.diagnosis.search.criteria import at_own_level, score
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.settings import Settings, VerdictSettings
-from flexjoint.diagnosis.verdict.unseen import (
+from flexjoint.diagnosis.verdict.unseen.torques import (
     Unseen,
     joint_left,
     joint_uncorrected,

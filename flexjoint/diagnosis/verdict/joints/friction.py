@@ -12,7 +12,7 @@ from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.verdict.joints.by_itself import JointSet, Question, Stage, stands_out
-from flexjoint.diagnosis.verdict.unseen import Unseen, beyond_background, remaining
+from flexjoint.diagnosis.verdict.unseen.torques import Unseen, beyond_background, remaining
 from flexjoint.effects import Planned
 
 WHY = "it removes more than a background on data that its fit did not see"

@@ -12,7 +12,7 @@ from flexjoint.diagnosis.verdict import checks
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.joints.by_itself import JointSet, Question, Stage, clears
 from flexjoint.diagnosis.verdict.review import reviewed
-from flexjoint.diagnosis.verdict.unseen import Unseen, lefts, missing_causes
+from flexjoint.diagnosis.verdict.unseen.torques import Unseen, lefts, missing_causes
 
 WHY = "searched by itself, its joint is left less wrong by more than a background with it, on data not fitted"
 

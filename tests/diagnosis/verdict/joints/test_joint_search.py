@@ -20,7 +20,7 @@ from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.verdict.joints.by_itself import Question, clears, joint_by_joint
 from flexjoint.diagnosis.verdict.joints.search import JOINT_SEARCH
-from flexjoint.diagnosis.verdict.unseen import unseen_problem
+from flexjoint.diagnosis.verdict.unseen.torques import unseen_problem
 from flexjoint.effects import Planned, effect
 
 BASE, OTHER = nominal("crane").joint_names[:2]

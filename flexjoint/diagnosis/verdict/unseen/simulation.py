@@ -12,7 +12,7 @@ from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Gain
-from flexjoint.diagnosis.verdict.noise_floor import of_readings
+from flexjoint.diagnosis.verdict.unseen.noise_floor import of_readings
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot

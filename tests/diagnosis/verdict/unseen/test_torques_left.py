@@ -9,7 +9,7 @@ import pytest
 from flexjoint.diagnosis.result import Gain, Remaining, Removed
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.verdict.reliability import by_simulation, on_background
-from flexjoint.diagnosis.verdict.unseen import standing_out, unfinished
+from flexjoint.diagnosis.verdict.unseen.torques import standing_out, unfinished
 from flexjoint.effects import effect
 
 LIMITS = USUAL.verdict

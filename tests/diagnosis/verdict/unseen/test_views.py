@@ -13,7 +13,7 @@ from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.criteria import at_own_level
-from flexjoint.diagnosis.verdict.unseen import (
+from flexjoint.diagnosis.verdict.unseen.torques import (
     View,
     away,
     in_views,

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from flexjoint.diagnosis.verdict.noise_floor import noise_floor
+from flexjoint.diagnosis.verdict.unseen.noise_floor import noise_floor
 from flexjoint.recording import table
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot

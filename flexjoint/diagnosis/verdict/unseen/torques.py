@@ -20,8 +20,8 @@ from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.regression.recorded import Recorded
 from flexjoint.diagnosis.result import Remaining, Removed
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
-from flexjoint.diagnosis.verdict.held_out import held_out_blocks
 from flexjoint.diagnosis.verdict.residuals import NEIGHBOURS, smooth_curve
+from flexjoint.diagnosis.verdict.unseen.simulation import held_out_blocks
 from flexjoint.effects import Planned, Signals, Site
 from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording
@@ -185,10 +185,14 @@ def lowered(best: Fit, instead: Sequence[Planned], joint: str) -> float:
 
 
 def small_errors(joint: Remaining, settings: VerdictSettings) -> float:
-    """[N m, RMS] up to which a torque may be the sum of small errors that nobody names: of the size that a
-    machine usually has, or as much as is left of the joint where that is less."""
-    background = min(settings.background_typical * joint.torque, joint.beyond_noise)
-    return settings.background_even * background
+    """[N m, RMS] up to which a torque may be the sum of small errors that nobody names."""
+    return settings.background_even * background(joint, settings)
+
+
+def background(joint: Remaining, settings: VerdictSettings) -> float:
+    """[N m, RMS] that small errors make: as many as a machine usually has, or what is left of the joint
+    beyond noise where that is less."""
+    return min(settings.background_typical * joint.torque, joint.beyond_noise)
 
 
 def uncorrected(problem: Recorded, effects: Sequence[Planned]) -> np.ndarray:
