@@ -286,7 +286,9 @@ def _beyond_limits(robot: Robot, recording: Recording, name: str) -> str | None:
         if not recording.has(channel, name):
             continue
         seen = np.nanpercentile(recording.get(channel, name), [1.0, 99.0])
-        outside = seen[0] < low - margin or seen[1] > high + margin
+        # another zero of the encoder shifts it by no more than a turn, and leaves its extent as it is
+        beyond = max(low - seen[0], seen[1] - high)
+        outside = beyond > 2.0 * math.pi or seen[1] - seen[0] > high - low + 2.0 * margin
         if _before_gear(robot, recording, name, channel, (low - margin, high + margin)):
             continue  # another error: `flexjoint.diagnosis.data` tells
         scaled = seen / DEGREES

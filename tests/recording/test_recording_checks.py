@@ -234,3 +234,13 @@ def test_all_angles_in_degrees_are_found_by_the_limits() -> None:
 def test_the_shipped_recording_in_degrees_is_refused(joints: list[str]) -> None:
     table = recording.read(robots_folder() / "kr300" / "recordings" / "rec_A.parquet")
     refusal(load("kr300"), scaled(table, (*ANGLES, *VELOCITIES), tuple(joints)))
+
+
+def test_a_small_motion_beyond_a_limit_is_no_motion_in_degrees() -> None:
+    """Divided by 57.3 it would lie near zero, within most limits: that it fits then says nothing. Another
+    zero of the encoder explains it as well."""
+    robot, name = load("kr300"), "joint_2"
+    table = recording.read(robots_folder() / "kr300" / "recordings" / "rec_A.parquet")
+    theta = table.get("theta", name)
+    beyond = 2.2 + 0.2 * (theta - np.mean(theta)) / np.ptp(theta)  # the URDF allows 1.484 rad
+    check(robot, Recording(table.time, {("theta", name): beyond}, "rec_A"))

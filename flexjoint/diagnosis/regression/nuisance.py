@@ -334,12 +334,15 @@ class Columns:
         out = self._loads_beside(entangled)
         for joint, own in entangled.items():
             for k, number in enumerate(self.nuisance):
-                if number.joint == joint and number.name in NUMBERS:
+                if number.joint != joint:
+                    continue
+                if number.of:  # an effect may have the name of a drive's number
+                    if self._replaced((number.name, joint), own):
+                        out[k] = np.zeros(self.samples)
+                elif number.name in NUMBERS:
                     key = (number.name, joint, *(e.identity for e in own))
                     make = partial(self._beside, own, joint, number)
                     out[k] = self.whitening.white(self._recent.get(key, make, REMEMBERED)).ravel()
-                elif number.of and number.joint == joint and self._replaced((number.name, joint), own):
-                    out[k] = np.zeros(self.samples)
         return out
 
     def _replaced(self, key: tuple[str, str | None], effects: Sequence[Planned]) -> bool:

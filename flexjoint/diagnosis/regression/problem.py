@@ -49,16 +49,15 @@ class NoiseLevel:
 
 @dataclass(frozen=True)
 class Moves:
-    """By how much effects change the columns of some nominal numbers, and the products of all columns with
-    that change."""
+    """The columns of some nominal numbers that effects change, and the products of all columns with these."""
 
     numbers: np.ndarray  # (m,) indices
-    change: np.ndarray  # (m, samples)
+    columns: np.ndarray  # (m, samples) beside the effects: exactly 0 of a claim in whose place an effect is
     grams: np.ndarray  # (rows, k, k)
 
     @property
     def nbytes(self) -> int:
-        return self.change.nbytes + self.grams.nbytes
+        return self.columns.nbytes + self.grams.nbytes
 
 
 class Problem(Recorded):
@@ -107,7 +106,7 @@ class Problem(Recorded):
         if not self._entangled:
             return self._plain
         out = self._plain.copy()
-        out[self.moves.numbers] += self.moves.change
+        out[self.moves.numbers] = self.moves.columns
         return out
 
     @property
@@ -179,8 +178,7 @@ class Problem(Recorded):
         changed = self._columns.beside(effects)
         numbers = np.array(list(changed), dtype=int)
         columns = np.array(list(changed.values())).reshape(len(changed), self.samples)
-        change = columns - self._plain[numbers]
-        return Moves(numbers, change, self._moved_grams(numbers, columns) if changed else self._grams)
+        return Moves(numbers, columns, self._moved_grams(numbers, columns) if changed else self._grams)
 
     def shared(self) -> list[object]:
         """What this problem has in common with all others of its recording."""
@@ -262,7 +260,7 @@ class Problem(Recorded):
             return self.whitened(self.nominal)
         every, measured = self.with_nominal(extra), self._on_measured(extra)
         change = self.balances.changed(self.nominal, measured)
-        if len(measured) < len(every):
+        if self._shapes_noise(extra):
             _add(change, self.balances.denoised.changed(measured, every))
         return self.residual([]) + self.whitening.white(self.whitening.band(change)).ravel()
 
@@ -293,8 +291,8 @@ class Problem(Recorded):
         """The same before it is whitened."""
         a, b = self._on_measured(extra), self._on_measured(other)
         change = self.balances.changed(a, b)
-        every_a, every_b = self.with_nominal(extra), self.with_nominal(other)
-        if len(a) < len(every_a) or len(b) < len(every_b):
+        if self._shapes_noise(extra) or self._shapes_noise(other):
+            every_a, every_b = self.with_nominal(extra), self.with_nominal(other)
             _add(change, self.balances.denoised.changed(every_a, every_b))
             _add(change, self.balances.denoised.changed(a, b), -1.0)
         return self.whitening.band(change)
@@ -303,6 +301,9 @@ class Problem(Recorded):
         """`moved_band` along the denoised recording."""
         before, after = self.with_nominal(extra), self.with_nominal(other)
         return self.whitening.band(self.balances.denoised.changed(before, after))
+
+    def _shapes_noise(self, extra: Sequence[Planned]) -> bool:
+        return any(whitening.shapes_noise(e, self.balances) for e in extra)
 
     def _on_measured(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
@@ -324,7 +325,7 @@ class Problem(Recorded):
     def across(self, a: np.ndarray) -> np.ndarray:
         """(k, numbers) a J' of columns a (k, samples)."""
         out, moves = a @ self._plain.T, self.moves
-        out[:, moves.numbers] += a @ moves.change.T
+        out[:, moves.numbers] = a @ moves.columns.T
         return out
 
     def across_part(self, a: np.ndarray, row: int, part: slice) -> np.ndarray:
@@ -336,7 +337,9 @@ class Problem(Recorded):
     def along(self, d: np.ndarray) -> np.ndarray:
         """(..., samples) d J of deviations d (..., numbers)."""
         moves = self.moves
-        return np.asarray(d @ self._plain + d[..., moves.numbers] @ moves.change)
+        plain = np.array(d)
+        plain[..., moves.numbers] = 0.0
+        return np.asarray(plain @ self._plain + d[..., moves.numbers] @ moves.columns)
 
     def energy(self, y: np.ndarray) -> float:
         """Q(y, y)."""

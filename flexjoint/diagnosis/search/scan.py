@@ -280,11 +280,11 @@ class _Against:
         self.squares = problem.squares.reshape(self.rows, -1)
         ends = [*edges[1:], time.size]
         self.slices = [slice(a, b) for a, b in zip(edges, ends, strict=True)]
-        # what columns are multiplied by beside the nominal numbers' plain ones: tangents, residual, and what
-        # friction moves of the nominal numbers' columns, (p, rows, samples)
+        # what columns are multiplied by beside the nominal numbers' plain ones: tangents, residual, and the
+        # nominal numbers' columns that effects change, (p, rows, samples)
         moves = problem.moves
         self.moved = moves.numbers
-        free_part = np.concatenate([current.tangents / size, current.y[None], moves.change])
+        free_part = np.concatenate([current.tangents / size, current.y[None], moves.columns])
         self.free = free_part.reshape(len(free_part), self.rows, time.size)
 
     def around(self, candidate: Candidate) -> list[Planned]:
@@ -314,7 +314,7 @@ class _Against:
             weighted = weighted.reshape(len(columns), -1)
             own.append(weighted @ columns.reshape(len(columns), -1).T)
             beside = weighted @ self.free[:, first:, s].reshape(len(self.free), -1).T
-            by_plain[:, self.moved] += beside[:, free:]
+            by_plain[:, self.moved] = beside[:, free:]
             across.append(np.hstack([by_plain, beside[:, :free]]))
         curvature, both = (np.cumsum(np.array(x)[::-1], axis=0)[::-1] for x in (own, across))
         through, with_y = both[:, :, :-1], both[:, :, -1]

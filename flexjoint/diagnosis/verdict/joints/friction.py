@@ -20,8 +20,8 @@ WHY = "it removes more than a background on data that its fit did not see"
 
 def find(question: Question) -> JointSet | None:
     """The causes of a joint with ordinary friction beside them or, if that leaves no more, instead of them,
-    without what of it does not stand out; None where none does. Causes of other joints are held. A law of two
-    joints gives way to friction that leaves a twentieth less in its place."""
+    without what of it does not stand out, the least of it first; None where none does. Causes of other joints
+    are held. A law of two joints gives way to friction that leaves a twentieth less in its place."""
     seen, own, others = question.seen, question.own, question.others
     old = question.measured(own)
     joint = replace(question.joint, after=old.left)
@@ -36,14 +36,17 @@ def find(question: Question) -> JointSet | None:
             return alone
         if _alike(seen, joint, alone, best):
             best = alone
-    for added in missing:
-        if not stands_out(seen, joint, best.left):
+    new = {one.key for one in missing}
+    while stands_out(seen, joint, best.left):
+        added = [e for e in best.effects if e.key in new]
+        fewer = [question.measured([e for e in best.effects if e is not one]) for one in added]
+        least = min(fewer, key=lambda one: one.left, default=None)
+        if least is None:
             return None
-        without = question.measured([e for e in best.effects if e.key != added.key])
-        if not stands_out(seen, replace(joint, after=without.left), best.left):
-            best = without
-    kept = any(e.key in {one.key for one in missing} for e in best.effects)
-    return best if kept and stands_out(seen, joint, best.left) else None
+        if stands_out(seen, replace(joint, after=least.left), best.left):
+            return best
+        best = least
+    return None
 
 
 def _of_two_joints(effects: Sequence[Planned]) -> bool:

@@ -248,16 +248,18 @@ def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL
 
 # ------------------------------------------------------------------ causes
 def removed(data: Unseen, k: int) -> Removed:
-    """What cause k of a set removes, in the balance in which it removes the largest share."""
-    best: tuple[float, View, str, str, np.ndarray, float] | None = None
+    """What cause k of a set removes, in the balance in which it removes the largest share; of one that makes
+    all of them worse, in that of which it makes least worse."""
+    best: tuple[tuple[bool, float], View, str, str, np.ndarray, float] | None = None
     for joint in data.of_joint:
         view = data.of_cause(k, joint)
         without = view.without[_place(data, view, k)]
         for balance, there, left, noise in _of_a_joint(data, view, without, joint):
             before, after = (float(np.mean(x[view.away] ** 2)) for x in (there, left))
             share = (before - after) / max(after, noise**2, 1e-300)
-            if best is None or share > best[0]:
-                best = (share, view, joint, balance, left, before)
+            rank = (not np.array_equal(there, left), share)  # it acts there, and clears much of it
+            if best is None or rank > best[0]:
+                best = (rank, view, joint, balance, left, before)
     assert best is not None  # every joint has a balance
     _, view, joint, balance, left, before = best
     after = float(np.mean(left[view.away] ** 2))
