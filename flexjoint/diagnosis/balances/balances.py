@@ -185,6 +185,24 @@ class Balances:
         """(..., F) -> (..., N)."""
         return fft.irfft(spectrum, self.filter.size, axis=-1)[..., : self.filter.count]
 
+    def residual_torques(self, effects: Sequence[Planned]) -> np.ndarray:
+        """(rows, N) the residual as torques [N m] that measured channels tell, one balance at a time. Where a
+        position was computed from the joint's torque sensor, its spring carries the sensor's torque as it was
+        recorded, and what effects make of that reading is in the spring's balance only: motor and link are
+        balanced with the reading then, and nothing is left of the spring's own."""
+        series = self.time_series(self.residual(effects))
+        computed = {i for _, i in self.motion.missing}
+        for r, row in enumerate(self.rows):
+            if row.balance == SPRING and row.joint in computed:
+                series[self._at(MOTOR, row.joint)] -= series[r]
+                series[self._at(LINK, row.joint)] += series[r]
+                series[r] = 0.0
+        return series
+
+    def _at(self, balance: str, joint: int) -> list[int]:
+        """The number of a joint's balance; empty where it has none."""
+        return [r for r, row in enumerate(self.rows) if row == Row(balance, joint)]
+
     def torque_scale(self) -> np.ndarray:
         """(n,) RMS torque of each joint [N m]: the larger of motor and load, about zero."""
         readings = self.motion.readings

@@ -29,7 +29,7 @@ def residual_views(best: Fit, nothing: Fit) -> tuple[ResidualView, ...]:
     offsets = [e for e in deviation_effects(nothing.problem, first) if e.effect.site is Site.SENSOR]
 
     def series(effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
-        return (balances.time_series(balances.residual(effects)) - problem.jumped(numbers))[:, used]
+        return (balances.residual_torques(effects) - problem.jumped(numbers))[:, used]
 
     before = series([*problem.nominal, *offsets], first)
     after = series(problem.with_nominal([*best.effects, *deviation_effects(problem, last)]), last)

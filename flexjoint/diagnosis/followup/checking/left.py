@@ -29,7 +29,7 @@ def _series(best: Fit) -> np.ndarray:
     problem = best.problem
     numbers = problem.deviations(best.y)  # to first order: their products are small where a machine is known
     effects = problem.with_nominal([*best.effects, *deviation_effects(problem, numbers)])
-    series = problem.balances.time_series(problem.balances.residual(effects)) - problem.jumped(numbers)
+    series = problem.balances.residual_torques(effects) - problem.jumped(numbers)
     return np.asarray(series[:, problem.readings.valid])
 
 

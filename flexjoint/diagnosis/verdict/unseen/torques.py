@@ -233,8 +233,7 @@ def _nominal(nothing: Fit) -> np.ndarray:
 
 
 def _of(problem: Recorded, effects: Sequence[Planned]) -> np.ndarray:
-    balances = problem.balances
-    return np.asarray(balances.time_series(balances.residual(effects))[:, problem.readings.valid])
+    return np.asarray(problem.balances.residual_torques(effects)[:, problem.readings.valid])
 
 
 def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL) -> dict[str, float]:
