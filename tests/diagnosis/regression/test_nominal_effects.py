@@ -65,8 +65,8 @@ def test_ordinary_friction_that_is_claimed_counts_as_it_is_claimed(rubs: Problem
     assert best @ best < 0.1 * (left @ left)
 
 
-# what a law changes beside torques decides on which recording it is evaluated, as it is or denoised: a level
-# of friction changes nothing else, but a drive's numbers, a gain, and a law of the deflection how noise enters
+# what a law changes decides on which recording it is evaluated, as it is or denoised: a level of friction
+# changes torques only, but a drive's numbers, a gain, and a law of the deflection also how noise enters
 OTHERWISE = [
     ("motor_coulomb_friction", "level", TRUE, CLAIMED),
     ("motor_viscous_friction", "coefficient", 3.0, 1.0),
