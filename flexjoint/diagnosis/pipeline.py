@@ -379,7 +379,7 @@ def _known(recordings: Sequence[Recording], payloads: Sequence[KnownPayload | No
 def _undecided(selection: Selection) -> bool:
     """Whether an error is left and only implausible nominal numbers would explain it."""
     best = selection.best
-    if best.problem.level.implausibility <= best.settings.robust_search.begins:
+    if best.problem.level.implausible <= best.settings.robust_search.begins:
         return False
     residuals = residual_views(best, selection.nothing)
     left = unexplained_balances(best, residuals)

@@ -308,8 +308,15 @@ class RegressionSettings(Stage):
     telling: float = number(
         100.0,
         "energy (chi-square)",
-        "that must remain for a cause to be able to gain its price: the noise is not inflated below it",
+        "that must remain in a balance for a cause to be able to gain its price: its noise is not inflated"
+        " below it",
         "judgement",
+    )
+    telling_share: float = number(
+        0.1,
+        "share of the information about a nominal number",
+        "of the balance that has most of it, from which a balance is raised where the number is implausible",
+        "measured: of a drive's numbers other joints' balances have less than 2 %, through their noise only",
     )
     noise_decides: float = number(
         3.0,

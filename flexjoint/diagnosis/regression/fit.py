@@ -160,7 +160,7 @@ def _bent(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.nda
     """What is to be added to the residual y of effects with a dry friction, because the deviations of the
     nominal numbers change when that friction sticks. 0 where these numbers are implausible, for they say
     nothing about it then."""
-    if problem.level.implausibility > 1.0 or not any(e.effect.overrides("level") for e in effects):
+    if problem.level.implausible > 1.0 or not any(e.effect.overrides("level") for e in effects):
         return 0.0
     return relinearised(problem, effects, y) - y
 

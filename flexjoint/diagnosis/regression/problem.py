@@ -35,11 +35,16 @@ class NoiseLevel:
     """The variance that each balance's residual is judged against, over that of the predicted noise.
 
     A level above 1 lets sets of effects be compared of which none is complete: what they leave counts as
-    noise. `inflation` (rows,) is the factor of each balance; `implausibility` is the part of it (a factor, 1
-    where there is none) that keeps nominal numbers from being pulled further than machines' are."""
+    noise. `inflation` (rows,) is the factor of each balance; `implausibility` (rows,) is the part of it (a
+    factor, 1 where there is none) that keeps nominal numbers from being pulled further than machines' are."""
 
     inflation: np.ndarray
-    implausibility: float = 1.0
+    implausibility: np.ndarray | float = 1.0
+
+    @property
+    def implausible(self) -> float:
+        """The largest factor by which it keeps nominal numbers plausible; 1 where it need not."""
+        return float(np.max(self.implausibility))
 
     @classmethod
     def predicted(cls, rows: int) -> NoiseLevel:
@@ -212,16 +217,38 @@ class Problem(Recorded):
 
     def plausible_level(self, y: np.ndarray) -> NoiseLevel:
         """The noise level that a residual y shows, where the nominal numbers explain only what plausible
-        values can: the level is raised until none of them is pulled further, or too little is left to name
-        any cause."""
+        values can: as long as some of them are pulled further, the balance that tells most of the furthest is
+        raised, unless too little is left there to name any cause. Other balances keep theirs: what is wrong
+        with a shoulder says nothing of a wrist."""
         limits = self.settings.regression
-        here = self.at(self.free_level(y))
-        while here.furthest(y) > limits.plausible and here.energy(y) > 2.0 * limits.telling:
-            here = here.at(NoiseLevel(2.0 * here.level.inflation, 2.0 * here.level.implausibility))
-        if here.energy(y) <= 2.0 * limits.telling:
-            return here.level
-        inflation = np.maximum(here.level.inflation, here.variances(y))
-        return NoiseLevel(inflation, here.level.implausibility)
+        base = self.free_level(y).inflation
+        grams, pulls = self.moves.grams, self._pulls(y)
+        squares = np.sum((y.reshape(len(base), -1) * self.used) ** 2, axis=1)
+        raised = np.ones_like(base)
+        information = (self.counted / base)[:, None] * np.diagonal(grams, axis1=1, axis2=2)
+        tells = information > limits.telling_share * np.max(information, axis=0)
+        while True:
+            by_row = self.counted / (base * raised)
+            gram = np.tensordot(by_row, grams, 1) + np.eye(len(self._plain))
+            deviations = np.linalg.solve(gram, by_row @ pulls)
+            left = squares - 2.0 * pulls @ deviations + (grams @ deviations) @ deviations
+            open_rows = by_row * left > limits.telling
+            told = information / raised[:, None] * (tells & open_rows[:, None])
+            far = np.where(self._columns.claimed & np.any(told, axis=0), np.abs(deviations), 0.0)
+            if np.max(far, initial=0.0) <= limits.plausible:
+                break
+            raised[np.argmax(told[:, np.argmax(far)])] *= 2.0
+        level = NoiseLevel(base * raised, raised)
+        found = np.maximum(level.inflation, np.where(open_rows, self.at(level).variances(y), 0.0))
+        return NoiseLevel(found, raised)
+
+    def _pulls(self, y: np.ndarray) -> np.ndarray:
+        """(rows, numbers) J y of each balance's used samples, without weights."""
+        by_row = y.reshape(len(self.balances.rows), -1) * self.used
+        plain = self._plain.reshape(len(self._plain), *by_row.shape)
+        out, moves = np.einsum("krt,rt->rk", plain, by_row, optimize=True), self.moves
+        out[:, moves.numbers] = np.einsum("krt,rt->rk", moves.columns.reshape(-1, *by_row.shape), by_row)
+        return out
 
     def variances(self, y: np.ndarray) -> np.ndarray:
         """(rows,) variance of what the nominal numbers leave of y, in that of the predicted noise, times its

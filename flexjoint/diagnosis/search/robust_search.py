@@ -1,8 +1,8 @@
 """Robust search where errors are left unexplained: on real machines many things are wrong at once.
 
-The usual search judges all balances at a common noise level, which a single implausible nominal number raises
-for all of them. And both balances of a stiff joint depend on its link encoder: an error of 0.1 mrad times
-5e6 N m/rad is more torque than most causes have. This search differs in five points:
+An implausible nominal number raises the noise level of all balances that tell of it. And both balances of a
+stiff joint depend on its link encoder: an error of 0.1 mrad times 5e6 N m/rad is more torque than most causes
+have. This search differs in five points:
 
 - what a joint's motor balance leaves counts as error of its link encoder, divided by the stiffness: then the
   sum of motor and link balance, which contains no spring torque, decides;
@@ -76,9 +76,9 @@ class JointwiseProblem(Problem):
             if not far.size or np.max(far) <= self.settings.regression.plausible:
                 break
             implausibility[rows == owner[np.argmax(far)]] *= 2.0
-            here = here.at(NoiseLevel(base * implausibility, float(np.max(implausibility))))
+            here = here.at(NoiseLevel(base * implausibility, implausibility.copy()))
         inflation = np.maximum(here.level.inflation, here.variances(y))
-        return NoiseLevel(inflation, float(np.max(implausibility)))
+        return NoiseLevel(inflation, implausibility)
 
 
 @dataclass(frozen=True)

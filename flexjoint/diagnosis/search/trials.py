@@ -34,9 +34,7 @@ def at_noise(best: Fit) -> Fit | None:
     """The set fitted at the level of the predicted noise; None where no balance is wrong and no nominal
     number is implausible, for the set was then fitted near that level already."""
     problem = best.problem
-    if problem.level.implausibility <= 1.0 and not np.any(
-        problem.level.inflation > best.settings.search.wrong
-    ):
+    if problem.level.implausible <= 1.0 and not np.any(problem.level.inflation > best.settings.search.wrong):
         return None
     return fit(problem.at(NoiseLevel.predicted(len(problem.balances.rows))), best.effects)
 
@@ -121,7 +119,7 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
     waiting: dict[str | None, list[tuple[float, Fit]]] = {}
     for f in trials:
         share, e = _cleared(best, bare.problem.variances(f.y), _marked(f, 1)), f.effects[-1]
-        if best.problem.level.implausibility > 1.0 or share >= np.log(limits.cleared):
+        if best.problem.level.implausible > 1.0 or share >= np.log(limits.cleared):
             waiting.setdefault(e.joint if acts_within_a_joint(e) else None, []).append((share, f))
     out: list[Fit] = []
     while waiting:
@@ -261,9 +259,9 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     and if that level is clearly lower, or no nominal number is implausible any more."""
     best, trial = task
     refitted = settled(trial, trial.effects[-1])
-    relieved = best.problem.level.implausibility > 1.0 and refitted.problem.level.implausibility <= 1.0
+    relieved = best.problem.level.implausible > 1.0 and refitted.problem.level.implausible <= 1.0
     # the part of the inflation that both sets need for implausible numbers has another cause than this one
-    levels = refitted.problem.level.inflation / min(
+    levels = refitted.problem.level.inflation / np.minimum(
         refitted.problem.level.implausibility, best.problem.level.implausibility
     )
     if not relieved and not _clears(best, levels, _marked(refitted, 1)):

@@ -55,7 +55,9 @@ def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:
     limits = best.settings.verdict
     joint = best.effects[k].joint
     crowd = max(0, sum(e.joint == joint for e in best.effects) - limits.crowd)
-    implausible = limits.belief_implausible if best.problem.level.implausibility > 1.0 else 0.0
+    raised = np.broadcast_to(best.problem.level.implausibility, len(best.problem.balances.rows)) > 1.0
+    there = torque_shares(best.problem, best.effects, k) > 0.0
+    implausible = limits.belief_implausible if np.any(raised & there) else 0.0
     odds = limits.belief + limits.belief_removed * _decades(1.0 / max(share, LEAST_SHARE))
     odds -= limits.belief_left * _decades(left) + implausible + limits.belief_crowd * crowd
     return float(1.0 / (1.0 + np.exp(-max(odds, CERTAINLY_NOT))))

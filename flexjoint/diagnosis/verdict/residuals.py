@@ -75,7 +75,7 @@ def unexplained_balances(best: Fit, residuals: tuple[ResidualView, ...]) -> tupl
     """Balances whose residual exceeds the noise and the robot's torque tolerance. Where no cause was found
     and only implausible nominal numbers would explain the error, all of it counts as unexplained."""
     problem = best.problem
-    implausible = not best.effects and problem.level.implausibility > problem.settings.robust_search.begins
+    implausible = not best.effects and problem.level.implausible > problem.settings.robust_search.begins
     found = []
     for row, seen in zip(problem.balances.rows, residuals, strict=True):
         view = replace(seen, after=seen.before) if implausible else seen

@@ -94,7 +94,7 @@ def test_an_implausible_number_raises_the_level_of_its_own_joint_only() -> None:
     own = np.array([robot.joint_names[r.joint] == problem.nuisance[k].joint for r in problem.balances.rows])
     motor = own & np.array([r.balance == "motor" for r in problem.balances.rows])
     assert judged.inflation[motor].min() > 100.0 * judged.inflation[~own].max()
-    assert judged.implausibility > 1.0
+    assert judged.implausible > 1.0
 
 
 def test_what_two_joints_are_late_by_may_be_common_to_all() -> None:
