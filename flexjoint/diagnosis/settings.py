@@ -308,8 +308,7 @@ class RegressionSettings(Stage):
     telling: float = number(
         100.0,
         "energy (chi-square)",
-        "that must remain in a balance for a cause to be able to gain its price: its noise is not inflated"
-        " below it",
+        "that must remain for a cause to be able to gain its price: noise is not inflated below twice that",
         "judgement",
     )
     telling_share: float = number(

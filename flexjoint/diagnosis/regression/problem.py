@@ -217,14 +217,17 @@ class Problem(Recorded):
 
     def plausible_level(self, y: np.ndarray) -> NoiseLevel:
         """The noise level that a residual y shows, where the nominal numbers explain only what plausible
-        values can: as long as some of them are pulled further, the balance that tells most of the furthest is
-        raised, unless too little is left there to name any cause. Other balances keep theirs: what is wrong
-        with a shoulder says nothing of a wrist."""
+        values can: as long as some of them are pulled further, the joint whose balance tells most of the
+        furthest is raised, unless too little is left there to name any cause. Other joints keep theirs: what
+        is wrong with a shoulder says nothing of a wrist. Flexible joints are raised together, as an error of
+        an encoder, times a stiffness, is more torque than most causes have, on its joint and before it."""
         limits = self.settings.regression
         base = self.free_level(y).inflation
         grams, pulls = self.moves.grams, self._pulls(y)
         squares = np.sum((y.reshape(len(base), -1) * self.used) ** 2, axis=1)
         raised = np.ones_like(base)
+        rigid = [joint.rigid for joint in self.robot.joints]
+        together = np.array([row.joint if rigid[row.joint] else -1 for row in self.balances.rows])
         information = (self.counted / base)[:, None] * np.diagonal(grams, axis1=1, axis2=2)
         tells = information > limits.telling_share * np.max(information, axis=0)
         while True:
@@ -232,12 +235,14 @@ class Problem(Recorded):
             gram = np.tensordot(by_row, grams, 1) + np.eye(len(self._plain))
             deviations = np.linalg.solve(gram, by_row @ pulls)
             left = squares - 2.0 * pulls @ deviations + (grams @ deviations) @ deviations
-            open_rows = by_row * left > limits.telling
+            joined = together[:, None] == together
+            open_rows = joined @ (by_row * left) > 2.0 * limits.telling
             told = information / raised[:, None] * (tells & open_rows[:, None])
             far = np.where(self._columns.claimed & np.any(told, axis=0), np.abs(deviations), 0.0)
             if np.max(far, initial=0.0) <= limits.plausible:
                 break
-            raised[np.argmax(told[:, np.argmax(far)])] *= 2.0
+            most = np.argmax(told[:, np.argmax(far)])
+            raised[open_rows & (together == together[most])] *= 2.0
         level = NoiseLevel(base * raised, raised)
         found = np.maximum(level.inflation, np.where(open_rows, self.at(level).variances(y), 0.0))
         return NoiseLevel(found, raised)

@@ -216,9 +216,13 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
         larger = _larger(best, both, bare, search)
         candidates = search.scanner.candidates
         wider = on_one_level(larger, search.pool) or on_all_joints(best, candidates)
-        grown, pruned = _grown(found, wider, larger, search.pool, standing)
-        if grown is None or pruned is None:
+        grown = _best_at_own_level(best, wider)
+        if grown is None:
             break
+        grown = _with_other_joints(grown, wider, larger, search.pool)
+        pruned = prune(grown, search.pool, standing)
+        if _keys(pruned) in found.seen:  # it would lead there again
+            return
         older = _keys(best)
         found.takes(grown, "price", "it explains more than its price")
         found.takes(pruned, "price", PRUNED)
@@ -227,29 +231,6 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
         newest = {e.joint for e in pruned.effects if e.key not in older}
         asked = [e for e in pruned.effects if e.joint in newest and e.key in older]
         found.exchanges(search, asked, everywhere=False)
-
-
-def _grown(
-    found: _Found,
-    wider: Sequence[Fit],
-    larger: Sequence[Fit],
-    pool: WorkerPool,
-    standing: Mapping[Key, frozenset[Key]],
-) -> tuple[Fit, Fit] | tuple[None, None]:
-    """The best of some sets of one more cause, with causes of other joints, and what is left of it when it is
-    pruned. A cause that the others do not need, once it is fitted beside them, leads back to a set that was
-    seen: then the next best one is taken."""
-    waiting = list(wider)
-    while waiting:
-        best = _best_at_own_level(found.best, waiting)
-        if best is None:
-            break
-        grown = _with_other_joints(best, waiting, larger, pool)
-        pruned = prune(grown, pool, standing)
-        if _keys(pruned) not in found.seen:
-            return grown, pruned
-        waiting = [f for f in waiting if f.effects[-1].key != best.effects[-1].key]
-    return None, None
 
 
 def _larger(best: Fit, both: Sequence[tuple[Scored, ...]], bare: Fit | None, search: Search) -> list[Fit]:
