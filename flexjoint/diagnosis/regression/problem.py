@@ -219,15 +219,15 @@ class Problem(Recorded):
         """The noise level that a residual y shows, where the nominal numbers explain only what plausible
         values can: as long as some of them are pulled further, the joint whose balance tells most of the
         furthest is raised, unless too little is left there to name any cause. Other joints keep theirs: what
-        is wrong with a shoulder says nothing of a wrist. Flexible joints are raised together, as an error of
-        an encoder, times a stiffness, is more torque than most causes have, on its joint and before it."""
+        is wrong with a shoulder says nothing of a wrist. Where a joint is flexible all are raised together, as
+        an error of its encoder, times its stiffness, is more torque than most causes have."""
         limits = self.settings.regression
         base = self.free_level(y).inflation
         grams, pulls = self.moves.grams, self._pulls(y)
         squares = np.sum((y.reshape(len(base), -1) * self.used) ** 2, axis=1)
         raised = np.ones_like(base)
-        rigid = [joint.rigid for joint in self.robot.joints]
-        together = np.array([row.joint if rigid[row.joint] else -1 for row in self.balances.rows])
+        rigid = all(joint.rigid for joint in self.robot.joints)
+        together = np.array([row.joint if rigid else -1 for row in self.balances.rows])
         information = (self.counted / base)[:, None] * np.diagonal(grams, axis1=1, axis2=2)
         tells = information > limits.telling_share * np.max(information, axis=0)
         while True:

@@ -1,7 +1,7 @@
 """Robust search where errors are left unexplained: on real machines many things are wrong at once.
 
-The usual search judges all balances of flexible joints at a common noise level, which a single implausible
-nominal number raises for all of them. And both balances of a stiff joint depend on its link encoder: an error
+The usual search raises the noise level of all balances where a single nominal number is implausible and a
+joint is flexible. And both balances of a stiff joint depend on its link encoder: an error
 of 0.1 mrad times 5e6 N m/rad is more torque than most causes have. This search differs in five points:
 
 - what a joint's motor balance leaves counts as error of its link encoder, divided by the stiffness: then the
