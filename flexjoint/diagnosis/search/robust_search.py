@@ -1,8 +1,8 @@
 """Robust search where errors are left unexplained: on real machines many things are wrong at once.
 
 The usual search raises the noise level of all balances where a single nominal number is implausible and a
-joint is flexible. And both balances of a stiff joint depend on its link encoder: an error
-of 0.1 mrad times 5e6 N m/rad is more torque than most causes have. This search differs in five points:
+joint is flexible. And both balances of a stiff joint depend on its link encoder: an error of 0.1 mrad times
+5e6 N m/rad is more torque than most causes have. This search differs in five points:
 
 - what a joint's motor balance leaves counts as error of its link encoder, divided by the stiffness: then the
   sum of motor and link balance, which contains no spring torque, decides;
