@@ -219,8 +219,8 @@ class Problem(Recorded):
         """The noise level that a residual y shows, where the nominal numbers explain only what plausible
         values can: as long as some of them are pulled further, the joint whose balance tells most of the
         furthest is raised, unless too little is left there to name any cause. Other joints keep theirs: what
-        is wrong with a shoulder says nothing of a wrist. Where a joint is flexible all are raised together: an
-        error of its encoder, times its stiffness, is more torque than most causes have."""
+        is wrong with a shoulder says nothing of a wrist. Where a joint is flexible all are raised together:
+        an error of its encoder, times its stiffness, is more torque than most causes have."""
         limits = self.settings.regression
         base = self.free_level(y).inflation
         grams, pulls = self.moves.grams, self._pulls(y)
