@@ -315,7 +315,7 @@ class RegressionSettings(Stage):
         0.1,
         "share of the information about a nominal number",
         "of the balance that has most of it, from which a balance is raised where the number is implausible",
-        "measured: of a drive's numbers other joints' balances have less than 2 %, through their noise only",
+        "study: of a drive's numbers other joints' balances have less than 2 %, through their noise only",
     )
     noise_decides: float = number(
         3.0,

@@ -335,7 +335,8 @@ class Problem(Recorded):
         return self.whitening.band(self.balances.denoised.changed(before, after))
 
     def _shapes_noise(self, extra: Sequence[Planned]) -> bool:
-        return any(whitening.shapes_noise(e, self.balances) for e in extra)
+        """Whether an effect beyond the nominal model's does; deviations of claims count to first order."""
+        return any(whitening.shapes_noise(e, self.balances) for e in extra if not e.nominal)
 
     def _on_measured(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
