@@ -236,7 +236,7 @@ class Problem(Recorded):
             deviations = np.linalg.solve(gram, by_row @ pulls)
             left = squares - 2.0 * pulls @ deviations + (grams @ deviations) @ deviations
             joined = together[:, None] == together
-            open_rows = joined @ (by_row * left) > 2.0 * limits.telling
+            open_rows = joined @ (by_row * left) + deviations @ deviations > 2.0 * limits.telling
             told = information / raised[:, None] * (tells & open_rows[:, None])
             far = np.where(self._columns.claimed & np.any(told, axis=0), np.abs(deviations), 0.0)
             if np.max(far, initial=0.0) <= limits.plausible:
@@ -335,8 +335,7 @@ class Problem(Recorded):
         return self.whitening.band(self.balances.denoised.changed(before, after))
 
     def _shapes_noise(self, extra: Sequence[Planned]) -> bool:
-        """Whether an effect beyond the nominal model's does; deviations of claims count to first order."""
-        return any(whitening.shapes_noise(e, self.balances) for e in extra if not e.nominal)
+        return any(whitening.shapes_noise(e, self.balances) for e in extra)
 
     def _on_measured(self, extra: Sequence[Planned]) -> list[Planned]:
         """The effects that are evaluated on the recording as it is, noise included."""
