@@ -179,12 +179,6 @@ class DataSettings(Stage):
     lag_agreeing: float = number(
         0.75, "share of joints", "of those that can tell, that must agree with the lag", "judgement"
     )
-    lag_left: float = number(
-        0.95,
-        "share (RMS) of what no law of the motion explains",
-        "that a lag may leave of the usual joint that shows it",
-        "machine: 5 ms of planted lag leave 0.4 to 0.95, no lag 0.96 and more",
-    )
     lag_moving: float = number(
         0.2,
         "joint's speed (RMS)",

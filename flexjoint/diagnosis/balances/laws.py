@@ -71,7 +71,6 @@ class Laws:
         """Readings with the sensors' effects taken back, the last one first."""
         base = self.base(i)
         readings = {"q": base.q, "theta": base.theta, "tau_t": base.tau_t}
-        rigid = self.motion.robot.joints[i].rigid
         for e in reversed(sensors):
             p = e.p
             for channel in e.effect.channels(p):
@@ -84,8 +83,10 @@ class Laws:
                 if e.effect.overrides("delay"):
                     true = later(true, -float(e.effect.delay(p)) / self.period)
                 readings[channel] = self.since(e, true, measured)
-        q = readings["theta"] if rigid else readings["q"]
-        return q, readings["theta"], readings["tau_t"]
+        joint = self.motion.robot.joints[i]
+        if joint.rigid:
+            readings["q"] = readings["theta"] = readings[self.motion.readings.encoder(joint.name)]
+        return readings["q"], readings["theta"], readings["tau_t"]
 
     def sensors(self, i: int, effects: Sequence[Planned]) -> list[Planned]:
         """Those of the effects that act on joint i's sensors."""

@@ -225,10 +225,7 @@ def _angles(
                 f"{recording.name}: joint {joint.name} has neither q nor theta; measure one or lock it in the"
                 " robot YAML"
             )
-        if joint.rigid:
-            theta[i] = theta[i] if has_theta else q[i]
-            q[i] = theta[i]
-        elif not has_theta:
+        if not has_theta:
             missing.append(("theta", i))
             theta[i] = q[i]
         elif not has_q:

@@ -21,9 +21,26 @@ def refusal(balances: Balances) -> str:
     if not balances.rows:
         return (
             "no torque balance can be closed: neither motor torques nor both encoders of a joint are recorded"
+            + _of_sensors(balances)
         )
     travel = np.ptp(motion.theta[:, used], axis=1)
     noise = np.maximum(motion.readings.noise["theta"], motion.readings.noise["q"])
     if np.all(travel < limits.still * np.maximum(noise, 1e-9)):
         return "the robot hardly moves in this recording; record a motion that uses its speed and load"
     return ""
+
+
+def _of_sensors(balances: Balances) -> str:
+    """What to do about torque sensors of joints that are said to be rigid; empty where there are none."""
+    motion = balances.motion
+    sensed = [
+        joint.name
+        for joint, tau_t in zip(motion.robot.joints, motion.readings.tau_t, strict=True)
+        if joint.rigid and np.isfinite(tau_t[0])
+    ]
+    if not sensed:
+        return ""
+    return (
+        f"; tau_t of {sensed[0]} is a torque sensor's, which lies in a spring: give the joint its stiffness"
+        " in the robot file, or name the column tau_motor if the torque is the motor's"
+    )

@@ -354,7 +354,10 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
     variances = noise**2
     for e in effects:
         i = robot.joint_names.index(e.joint) if e.joint is not None else 0
-        for channel, index in (("q", q[i]), ("theta", theta[i]), ("tau_t", tau_t[i])):
+        at = {"q": q[i], "theta": theta[i], "tau_t": tau_t[i]}
+        if robot.joints[i].rigid:
+            at = {readings.encoder(robot.joint_names[i]): theta[i], "tau_t": tau_t[i]}
+        for channel, index in at.items():
             if e.effect.site is Site.SENSOR and channel in e.effect.channels(e.p):
                 variances[index] /= sensor_slope(e) ** 2
     for channel, i in balances.motion.missing:

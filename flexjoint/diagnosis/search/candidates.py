@@ -136,6 +136,10 @@ def _sensed(problem: Problem, candidate: Candidate, i: int, rows: set[str]) -> b
         "theta": bool(np.isfinite(problem.readings.theta[i, 0])),
         "tau_t": SPRING in rows,
     }
+    joint = problem.robot.joints[i]
+    if joint.rigid:
+        readings["q"] = readings["theta"] = False
+        readings[problem.readings.encoder(joint.name)] = True
     if not _moves(problem, i) and (
         candidate.effect.overrides("delay") or any(p.wraps for p in candidate.effect.params)
     ):

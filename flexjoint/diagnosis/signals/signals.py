@@ -37,9 +37,10 @@ class Readings:
     """Evenly sampled readings of the actuated joints, (n, N) each; a row of NaN was not measured.
 
     `torque` is the motor torque at the sample times: a command is moved by half its hold, a measured
-    torque is not. `valid` (N,) marks samples whose surroundings were measured. `noise` maps a channel to
-    its predicted standard deviation per sample (n,), quantisation included. `phi` is theta - q; of readings
-    without their noise it is that of less noise than the two angles'.
+    torque is not. A rigid joint has one angle: q and theta are both what its `encoder` reads. `valid` (N,)
+    marks samples whose surroundings were measured. `noise` maps a channel to its predicted standard
+    deviation per sample (n,), quantisation included. `phi` is theta - q; of readings without their noise it
+    is that of less noise than the two angles'.
     """
 
     time: np.ndarray
@@ -61,6 +62,10 @@ class Readings:
     @property
     def period(self) -> float:
         return float(self.time[1] - self.time[0])
+
+    def encoder(self, joint: str) -> str:
+        """The channel that reads a rigid joint's one angle: its motor's encoder where it has one."""
+        return _encoder(self.recording, joint)
 
 
 def prepare(robot: Robot, recording: Recording, settings: Settings = USUAL) -> Readings:
@@ -89,6 +94,10 @@ def prepare(robot: Robot, recording: Recording, settings: Settings = USUAL) -> R
             valid &= good
             noise[channel][row] = white_noise(samples) * float(np.sqrt(own / period))
             steps[channel][row] = step_of(samples[np.isfinite(samples)])
+        if joint.rigid:
+            one = _encoder(recording, joint.name)
+            for of in (channels, noise, steps):
+                of["q"][row] = of["theta"][row] = of[one][row]
         source = torque_source(robot, recording, joint)
         if source is None:
             continue
@@ -113,6 +122,10 @@ def prepare(robot: Robot, recording: Recording, settings: Settings = USUAL) -> R
         valid=_shrink(valid, margin(sigma, signals), period), noise=noise, steps=steps, sigma=sigma,
         start=float(recording.time[0]), recording=recording, settings=settings,
     )  # fmt: skip
+
+
+def _encoder(recording: Recording, joint: str) -> str:
+    return "theta" if recording.has("theta", joint) else "q"
 
 
 def _own_period(time: np.ndarray, samples: np.ndarray, period: float) -> float:

@@ -69,6 +69,17 @@ def test_the_time_constant_of_filtered_torques_is_found(constant: float, rate: f
 
 
 @thorough
+def test_a_lag_is_found_beside_noise_that_hides_it_at_every_instant() -> None:
+    noisy, rng = dict(filtered(recorded(125.0, rubbing=False), 0.006).columns), np.random.default_rng(4)
+    for key, x in noisy.items():
+        if key[0] == "tau_motor":
+            noisy[key] = x + 0.08 * np.std(x) * rng.standard_normal(x.size)
+    lag = torque_lag(robot(), replace(recorded(125.0), columns=noisy))
+    assert lag is not None
+    assert abs(lag.seconds - 0.006) < 4.0 * lag.std
+    assert lag.std < 0.0005
+
+
 def test_a_moving_average_lags_by_half_its_length() -> None:
     length = 5  # samples of 4 ms
     lag = torque_lag(robot(), with_torques(recorded(), [1.0 / length] * length, [1.0]))

@@ -83,11 +83,6 @@ class _Joint:
         power = float(self.taken @ self.rate)
         return power if abs(power) > 1e-300 else 1e-300
 
-    def left(self, seconds: float) -> float:
-        """Share (RMS) of the rest that a lag leaves."""
-        left = float(np.linalg.norm(self.rest - seconds * self.rate))
-        return left / max(float(np.linalg.norm(self.rest)), 1e-300)
-
 
 def torque_lag(robot: Robot, recording: Recording, settings: DataSettings = USUAL.data) -> TorqueLag | None:
     """The lag of a recording's measured motor torques; None where there is none, or none that is sure.
@@ -115,8 +110,7 @@ def torque_lag(robot: Robot, recording: Recording, settings: DataSettings = USUA
     telling = [joint for joint in joints if seconds > settings.lag_sure * joint.std]
     off = np.array([abs(joint.seconds - seconds) for joint in telling])
     allowed = np.array([max(settings.lag_alike * seconds, 3.0 * joint.std) for joint in telling])
-    left = float(np.median([joint.left(seconds) for joint in shown]))
-    if np.mean(off <= allowed) < settings.lag_agreeing or left > settings.lag_left:
+    if np.mean(off <= allowed) < settings.lag_agreeing:
         return None
     return TorqueLag(seconds, std, tuple(joint.name for joint in shown), filtered)
 
