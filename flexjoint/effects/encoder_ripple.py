@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
@@ -39,11 +41,13 @@ class EncoderRipple(Effect):
         return x + p.amplitude * ops.sin(p.cycles * x + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        motion = s.dtheta, s.dphi
+        # of a rigid joint the load shows it that the angle is taken to need
+        shown, beside = (s.phi, s.tau_t) if np.ptp(s.phi) > 0.0 else (s.tau_t, s.tau_m)
+        known = beside, s.dtheta, s.dphi
         cycles = (
             *few_periods(s.q),
-            *ripple_cycles(s.q, s.phi, (s.tau_t, *motion), s.t),
-            *ripple_cycles(s.theta, s.phi, (s.tau_t, *motion), s.t),
+            *ripple_cycles(s.q, shown, known, s.t),
+            *ripple_cycles(s.theta, shown, known, s.t),
         )
         cycles = cycles or (self.params[1].value,)
         return grid(self.params, cycles=cycles, phase=PHASES)

@@ -237,8 +237,11 @@ def trial_size(problem: Problem, candidate: Candidate, param: Parameter) -> floa
     else:
         travel = speed = 1.0
     stiff = 1.0
-    if candidate.joint is not None and np.isfinite(problem.robot.joints[i].drive.K):
-        stiff = problem.robot.joints[i].drive.K
+    if candidate.joint is not None:
+        if problem.robot.joints[i].rigid and param.unit == "rad":
+            return param.value
+        if not problem.robot.joints[i].rigid:
+            stiff = problem.robot.joints[i].drive.K
     by_unit = {
         "N m": limits.trial_share * scale,
         "N m s/rad": limits.trial_share * scale / speed,

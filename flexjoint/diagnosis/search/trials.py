@@ -315,7 +315,9 @@ def _astray(value: float, looked: Sequence[float], factor: float) -> bool:
 
 def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> list[Scored]:
     """The candidates that deserve a full fit: their gain to first order is near that of the best one, and
-    near the energy that a rival needs (`needed`), and their torque may be large enough to be named."""
+    near the energy that a rival needs (`needed`), and their torque may be large enough to be named. What acts
+    within a joint is no rival of what acts elsewhere: where none is needed, each joint's best one is tried,
+    however many explain more of other joints."""
     limits = current.settings.search
     joints = Counter(e.joint for e in current.effects)
     scanned = [
@@ -327,6 +329,13 @@ def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> l
     enough = max(limits.promising * most, limits.alternative_share * min(needed, most), limits.chance)
     count = limits.alternatives if needed > 0.0 else limits.polished
     near = [scored for scored in scanned[:count] if scored.removes >= enough]
+    if needed == 0.0:
+        tried = {s.candidate.joint for s in near if acts_within_a_joint(s.candidate)}
+        for s in scanned[len(near) :]:
+            within_a_joint = acts_within_a_joint(s.candidate)
+            if s.removes >= enough and within_a_joint and s.candidate.joint not in tried:
+                tried.add(s.candidate.joint)
+                near.append(s)
     return [scored for scored in near if might_matter(current, scored)]
 
 
