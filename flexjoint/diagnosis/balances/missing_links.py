@@ -19,6 +19,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from flexjoint.diagnosis.balances.motion import Links, Motion
 
+SLOWEST = 0.1  # of a sample: a link whose spring moves it faster follows it at once
 FREE = 100.0  # times its RMS, a deflection that nothing prevents
 GROWN = 1e3  # times a start, in rad or rad/s, from which a movement does not settle
 
@@ -152,6 +153,10 @@ class MissingLinks:
         by_q, by_v, mass = (x[pick] for x in along)
         drives = [self._drives[i] for i in self._driven]
         damping, stiffness = (np.diag([getattr(drive, name) for drive in drives]) for name in ("D", "K"))
+        # a robot file may give a small link no inertia about its axis
+        least = np.diag(stiffness) * (SLOWEST * self._motion.filter.period) ** 2
+        own = np.diagonal(mass, axis1=1, axis2=2)
+        mass = mass + np.maximum(0.0, least - own)[:, :, None] * np.eye(len(drives))
         return np.asarray(mass), by_v + damping, by_q + stiffness
 
     @cached_property

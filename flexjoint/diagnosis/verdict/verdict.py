@@ -17,7 +17,7 @@ from flexjoint.diagnosis.search.criteria import (
 )
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
-from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability
+from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability, where_held
 from flexjoint.diagnosis.verdict.ties import preferred, special_cases, ties
 from flexjoint.diagnosis.verdict.unseen.torques import Unseen, friction, remaining, removed, spoils
 from flexjoint.effects import Kind, Planned, Site
@@ -64,6 +64,7 @@ def findings(
         believed = reliability(best, left, share, k)
         if not spoils(data, k):
             believed = max(believed, on_background(cleared[k], joints, limits, beside, rubbing[k]))
+        believed = where_held(believed, cleared[k], limits)
         if believed < limits.likely:
             believed = max(believed, simulated(k, beside))
         out.append(

@@ -10,6 +10,7 @@ from planting import PERFECT, ROBOTS, plant
 from scipy.integrate import solve_ivp
 from scipy.interpolate import interp1d
 from support.diagnose_cases import Case, as_recording, nominal
+from support.robots.arms import SPATIAL, make
 from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import LINK, SPRING, TwinBalances, balances_of
@@ -200,3 +201,28 @@ def test_a_link_may_swing_at_the_start(robot: str, inexact: float) -> None:
     begun = table.make(whole.time[late] - 4.0, columns, "begun")
     problem = about_likely_links(Problem(balances_of(nominal(robot), begun)))
     assert problem.energy(problem.residual([])) < 1.2 * problem.freedom
+
+
+def of_a_light_link(inertia: float) -> TwinBalances:
+    """Balances along the motors of an arm whose last link has its mass on its axis, and this inertia."""
+    light = ("pitch", "0 1 0", "0 0 -0.38", "0 0 0", 0.2, inertia)
+    robot = make([*SPATIAL[:2], light], {"pitch": {"stiffness": 2000}})
+    time = np.arange(0.0, 4.0, 0.002)
+    columns = {}
+    for k, name in enumerate(robot.joint_names):
+        columns["theta", name] = 0.4 * np.sin((1.3 + 0.5 * k) * time + k)
+        columns["tau_m", name] = np.cos((0.9 + 0.4 * k) * time)
+    return balances_of(robot, table.make(time, columns))
+
+
+def test_a_link_without_inertia_follows_its_spring() -> None:
+    """As one that is nearly without: robot files give small links none."""
+    none, little = of_a_light_link(0.0), of_a_light_link(1e-7)
+    push = np.sin(np.arange(none.filter.count) * 0.01)
+    rows = [r for r, row in enumerate(none.rows) if row.balance == LINK]
+    moved, close = (b.missing_links.moved(rows, np.array([push] * len(rows))) for b in (none, little))
+
+    assert none.missing_links
+    assert np.isfinite(Problem(none).residual([])).all()
+    for r, series in moved.items():
+        assert series == pytest.approx(close[r], abs=1e-6)  # N m, of a push of 1 N m

@@ -12,8 +12,10 @@ from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.refinement import refined
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
+from flexjoint.diagnosis.result import Removed
 from flexjoint.diagnosis.search.criteria import at_own_level
-from flexjoint.diagnosis.verdict.reliability import followed, left_by, reliability
+from flexjoint.diagnosis.settings import USUAL
+from flexjoint.diagnosis.verdict.reliability import followed, left_by, reliability, where_held
 from flexjoint.effects import Planned, effect
 
 
@@ -90,3 +92,18 @@ def test_what_is_left_of_positions_that_are_all_measured_counts() -> None:
     told = effect("motor_coulomb_friction", "swing", level=1.0)
 
     assert believed(Case("lever", "rich", 61), FRICTION, told, (0.1, 0.2)) == (0.1, 0.2)
+
+
+def test_a_name_is_believed_as_far_as_unseen_data_hold_its_torque() -> None:
+    limits, cause = USUAL.verdict, Removed("slide", "motor", 4.0, 4.0, 0.0, "q")
+
+    def believed(before: float, held: float, std: float = 0.0) -> float:
+        return where_held(before, replace(cause, held=held, held_std=std), limits)
+
+    assert believed(0.9, 1.0) == believed(0.9, 1.2) == 0.9
+    # the error is as large with the cause as without
+    assert believed(0.99, 0.5) == pytest.approx(0.5, abs=0.05)
+    assert believed(0.9, 0.5) < 0.5
+    assert believed(0.9, 0.2) < believed(0.9, 0.5) < believed(0.9, 0.8) < 0.9
+    # what noise may do is nothing against it
+    assert believed(0.9, 0.7, 0.35) == 0.9

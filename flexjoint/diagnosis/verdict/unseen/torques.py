@@ -27,6 +27,7 @@ from flexjoint.recording.readings.quantities import of_robot
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
+BLOCK = 1.0  # s, over which errors are taken for dependent
 RIDGE = 1e-3  # of a curve's normal matrix, on its mean diagonal: corners that few samples visit stay flat
 THROUGH_TORQUE = (Site.COMMAND, Site.MOTOR, Site.LINK, Site.BODY)  # where effects change motor torque
 
@@ -249,7 +250,7 @@ def torque_errors(robot: Robot, recording: Recording, settings: Settings = USUAL
 def removed(data: Unseen, k: int) -> Removed:
     """What cause k of a set removes, in the balance in which it removes the largest share; of one that makes
     all of them worse, in that of which it makes least worse."""
-    best: tuple[tuple[bool, float], View, str, str, np.ndarray, float] | None = None
+    best: tuple[tuple[bool, float], View, str, str, np.ndarray, np.ndarray] | None = None
     for joint in data.of_joint:
         view = data.of_cause(k, joint)
         without = view.without[_place(data, view, k)]
@@ -258,14 +259,27 @@ def removed(data: Unseen, k: int) -> Removed:
             share = (before - after) / max(after, noise**2, 1e-300)
             rank = (not np.array_equal(there, left), share)  # it acts there, and clears much of it
             if best is None or rank > best[0]:
-                best = (rank, view, joint, balance, left, before)
+                best = (rank, view, joint, balance, there, left)
     assert best is not None  # every joint has a balance
-    _, view, joint, balance, left, before = best
-    after = float(np.mean(left[view.away] ** 2))
+    _, view, joint, balance, there, left = best
+    before, after = (float(np.mean(x[view.away] ** 2)) for x in (there, left))
     share, against = shape(view, left, joint)
-    return Removed(
-        joint, balance, float(np.sqrt(before)), float(np.sqrt(after)), float(np.sqrt(share * after)), against
-    )
+    structured = float(np.sqrt(share * after))
+    held = _held(view, there, left)
+    return Removed(joint, balance, float(np.sqrt(before)), float(np.sqrt(after)), structured, against, *held)
+
+
+def _held(view: View, there: np.ndarray, left: np.ndarray) -> tuple[float | None, float | None]:
+    """`Removed.held` and its standard error, from errors that are alike within blocks (Liang and Zeger 1986),
+    of residuals (N,) without the cause and with it."""
+    times = view.problem.balances.chains.t[view.problem.readings.valid][view.away]
+    error, own = there[view.away], (there - left)[view.away]
+    power = float(own @ own)
+    if power <= 0.0:
+        return None, None
+    held = float(own @ error) / power
+    scores = np.bincount((times / BLOCK).astype(int), own * (error - held * own))
+    return held, float(np.linalg.norm(scores)) / power
 
 
 def _of_a_joint(
