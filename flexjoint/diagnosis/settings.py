@@ -934,8 +934,8 @@ class VerdictSettings(Stage):
         "log odds",
         "less where unseen data hold nothing of the torque that the cause makes, and in proportion where they"
         " hold a part: at one half, where the error is as large with it as without, 0.99 becomes one half",
-        "machine: right names of 12 simulated arms, KR300 and EMPS held 0.89 to 1.6, and 0.69 with twice the"
-        " right size; nine wrong ones 0.39 to 0.77",
+        "machine: right names of 12 simulated arms, KR300 and EMPS held 0.89 to 1.6, two others 0.69 and"
+        " 0.76; eight wrong ones 0.39 to 0.77, but those that imitate all of a torque 0.94 to 1.1",
     )
     # --- belief in a name on a machine that always leaves something
     background_typical: float = number(

@@ -355,7 +355,7 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
     for e in effects:
         i = robot.joint_names.index(e.joint) if e.joint is not None else 0
         at = {"q": q[i], "theta": theta[i], "tau_t": tau_t[i]}
-        if robot.joints[i].rigid:
+        if robot.joints[i].rigid:  # its one angle has the noise of theta
             at = {readings.encoder(robot.joint_names[i]): theta[i], "tau_t": tau_t[i]}
         for channel, index in at.items():
             if e.effect.site is Site.SENSOR and channel in e.effect.channels(e.p):

@@ -236,19 +236,19 @@ def trial_size(problem: Problem, candidate: Candidate, param: Parameter) -> floa
         travel, speed = float(np.std(signals.q)) + 1e-6, float(np.std(signals.dtheta)) + 1e-6
     else:
         travel = speed = 1.0
-    stiff = 1.0
-    if candidate.joint is not None:
-        if problem.robot.joints[i].rigid and param.unit == "rad":
-            return param.value
-        if not problem.robot.joints[i].rigid:
-            stiff = problem.robot.joints[i].drive.K
+    stiff, angle = 1.0, 0.01
+    if candidate.joint is not None and problem.robot.joints[i].rigid:
+        angle = param.value  # no spring says what an angle does
+    elif candidate.joint is not None:
+        stiff = problem.robot.joints[i].drive.K
+        angle = limits.trial_share * scale / stiff
     by_unit = {
         "N m": limits.trial_share * scale,
         "N m s/rad": limits.trial_share * scale / speed,
         "N m s^2/rad^2": limits.trial_share * scale / speed**2,
         "N m/rad": limits.trial_share * scale / travel,
         "N m/rad^3": limits.trial_share * scale / (scale / stiff) ** 3,
-        "rad": limits.trial_share * scale / stiff if candidate.joint is not None else 0.01,
+        "rad": angle,
         "s": 1e-3,
         "": limits.trial_share,
         "1": limits.trial_share,
