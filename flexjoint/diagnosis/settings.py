@@ -329,6 +329,12 @@ class RegressionSettings(Stage):
     position_deviation: float = number(
         0.5, "m", "weak prior of components of a position that the data do not show", "judgement"
     )
+    angle_deviation: float = number(
+        6.283,
+        "rad",
+        "weak prior of a position of a joint, within a turn: a spring at rest far beyond is only an offset",
+        "theory: 2 pi",
+    )
     torque_deviation: float = number(
         1.0,
         "joint's RMS torque",
@@ -428,6 +434,13 @@ class SearchSettings(Stage):
         12.0,
         "energy (chi-square)",
         "of every further number that has a trace, and of an onset: more than chance gives, less than a law",
+        "judgement",
+    )
+    one_value: float = number(
+        0.5,
+        "share of its size on one joint",
+        "by which a cause that several joints often have in common may differ on another and count as the"
+        " same one, which costs no more than a further number",
         "judgement",
     )
     price_reconstructed: float = number(

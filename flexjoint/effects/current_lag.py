@@ -28,6 +28,7 @@ class CurrentLag(Effect):
     law = r"\tau = z,\ \dot z = (\tau_m - z)/T"
     params = (Parameter("time_constant", "s", "T", value=2e-3, low=0.0, high=0.5),)
     states = (0.0,)
+    common = True
     known_as = ("torque_delay",)
     typical = (
         Typical(

@@ -14,6 +14,7 @@ class SensorDelay(Effect):
     site, kind, against, reference = Site.SENSOR, Kind.TIMING, "t", "Franklin, Powell and Workman 1998"
     law = r"y(t) = x(t - T)"
     params = (Parameter("delay", "s", "T", value=2e-3, low=0.0, high=0.05),)
+    common = True
     words = (Word("channel", (None, "q", "theta", "tau_t"), None),)
     max_delay = 0.05
     typical = (

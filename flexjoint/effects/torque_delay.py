@@ -12,6 +12,7 @@ class TorqueDelay(Effect):
     """The commanded torque acts late; a short first-order lag of the current loop looks the same."""
 
     site, kind, against, reference = Site.COMMAND, Kind.TIMING, "t", "Franklin, Powell and Workman 1998"
+    common = True
     law = r"\tau(t) = \tau_m(t - T)"
     params = (Parameter("delay", "s", "T", value=2e-3, low=0.0, high=0.05),)
     max_delay = 0.05

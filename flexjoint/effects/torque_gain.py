@@ -12,6 +12,7 @@ class TorqueGain(Effect):
     """The motor gives more or less torque than is commanded: its torque constant or gear ratio is off."""
 
     site, kind, against, reference = Site.COMMAND, Kind.PARAMETER, "tau_m", "Gautier and Briot 2014"
+    common = True  # of motors of one type
     law = r"\tau = (1 + e)\,\tau_m"
     # by a factor of five: torque constants differ by a tenth, a gear ratio or a current of another definition
     # (amplitude, effective value) by more; a wrong sign or unit is an error of the data

@@ -376,12 +376,14 @@ def weak_prior(
     slot: Slot, effects: Sequence[Planned], settings: RegressionSettings, torque: float = np.inf
 ) -> tuple[float, float]:
     """Distance of a number from a plausible value, in weak prior deviations, and its derivative: a factor is
-    rarely off by more than two, a position lies within reach, and the level of a friction or a ripple is
-    hardly larger than the joint's RMS `torque` [N m]: where few samples show how fast a friction wears off,
-    they do not show that it began with a multiple of that."""
+    rarely off by more than two, a position lies within reach, one of a joint within a turn, and the level of
+    a friction or a ripple is hardly larger than the joint's RMS `torque` [N m]: where few samples show how
+    fast a friction wears off, they do not show that it began with a multiple of that."""
     number, param = slot.get(effects), slot.param
     if param.unit == "m":
         return number / settings.position_deviation, 1.0 / settings.position_deviation
+    if param.unit == "rad" and param.low < 0.0 and param.null is None and not param.wraps:
+        return number / settings.angle_deviation, 1.0 / settings.angle_deviation
     if param.unit == "N m" and param.low == param.null == 0.0:
         deviation = settings.torque_deviation * torque
         return number / deviation, 1.0 / deviation

@@ -230,6 +230,7 @@ class Problem(Recorded):
         together = np.array([row.joint if rigid else -1 for row in self.balances.rows])
         information = (self.counted / base)[:, None] * np.diagonal(grams, axis1=1, axis2=2)
         tells = information > limits.telling_share * np.max(information, axis=0)
+        # a balance that was raised until others tell far more of a number does not hold it any more
         while True:
             by_row = self.counted / (base * raised)
             gram = np.tensordot(by_row, grams, 1) + np.eye(len(self._plain))
@@ -237,7 +238,9 @@ class Problem(Recorded):
             left = squares - 2.0 * pulls @ deviations + (grams @ deviations) @ deviations
             joined = together[:, None] == together
             open_rows = joined @ (by_row * left) + deviations @ deviations > 2.0 * limits.telling
-            told = information / raised[:, None] * (tells & open_rows[:, None])
+            current = information / raised[:, None]
+            holds = current > limits.telling_share * np.max(current, axis=0)
+            told = current * (tells & holds & open_rows[:, None])
             far = np.where(self._columns.claimed & np.any(told, axis=0), np.abs(deviations), 0.0)
             if np.max(far, initial=0.0) <= limits.plausible:
                 break

@@ -17,6 +17,7 @@ from flexjoint.diagnosis.regression.deviations import judged_energy
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS, NominalNumber
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
+from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Kind, Parameter, Planned, Site, catalogue
 from flexjoint.rigidbody.numeric import inertial_of
 
@@ -37,10 +38,30 @@ def prices(result: Fit) -> list[float]:
     numbers = Counter(
         slot.effect for slot, tangent in zip(result.slots, result.tangents, strict=True) if np.any(tangent)
     )
-    out = []
+    out, again = [], repeated(result.effects, limits)
     for k, e in enumerate(result.effects):
+        if k in again:
+            out.append(limits.price_number)
+            continue
         first = limits.price if own_number(result.problem, e) is None else limits.price_nominal
         out.append(first + limits.price_number * max(0, numbers[k] + (e.since is not None) - 1))
+    return out
+
+
+def repeated(effects: Sequence[Planned], limits: SearchSettings) -> dict[int, int]:
+    """The effects of a set that are one cause with an earlier one, and with which: one law on several joints,
+    of those that several joints often have by one value (`Effect.common`), by nearly that value."""
+    first: dict[object, int] = {}
+    out = {}
+    for k, e in enumerate(effects):
+        if not e.effect.common or e.joint is None or e.since is not None:
+            continue
+        law = (e.effect.name, *(e.values[w.name] for w in e.effect.words))
+        one = first.setdefault(law, k)
+        size = e.effect.nulls[0].name
+        known = effects[one].values[size]
+        if one != k and abs(e.values[size] - known) <= limits.one_value * abs(known):
+            out[k] = one
     return out
 
 
@@ -51,7 +72,8 @@ def score(result: Fit) -> float:
     others = sum(own_number(problem, e) is None for e in result.effects) if problem.motion.missing else 0
     # the more joints, the more candidates, and the better the best of them fits by chance
     chance = limits.price_candidates * float(np.log(len(problem.robot.joints)))
-    return result.energy + price(result) + limits.price_reconstructed * others + chance * len(result.effects)
+    chosen = len(result.effects) - len(repeated(result.effects, limits))
+    return result.energy + price(result) + limits.price_reconstructed * others + chance * chosen
 
 
 def unexplained_energy(result: Fit) -> float:

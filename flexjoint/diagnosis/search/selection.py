@@ -14,6 +14,7 @@ from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, refit_without
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
+from flexjoint.diagnosis.regression.uncertainty import standard_errors
 from flexjoint.diagnosis.result import Step
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
@@ -47,6 +48,7 @@ from flexjoint.effects import Effect, Planned, Site, catalogue
 STAGE = "search"  # in the trace
 PRUNED = "beside the others it no longer explains its price"
 COMMON = "ordinary friction takes most of the error of several joints"
+ALIKE = "several joints have it by one value"
 LEFT_OUT = (
     "the time allowed was over during the search: further causes were not looked for, and not every cause was"
     " compared with its rivals"
@@ -198,6 +200,7 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
     again."""
     standing: dict[Key, frozenset[Key]] = {}  # effects that were found supported, and what was beside them
     rubbed: frozenset[Key] | None = None  # the loads beside which ordinary friction was looked for
+    common_beside: frozenset[Key] | None = None  # those beside which causes of one value were looked for
     while len(found.best.effects) < most_effects(found.best.problem) and search.goes_on():
         best = found.best
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
@@ -217,14 +220,23 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
         candidates = search.scanner.candidates
         wider = on_one_level(larger, search.pool) or on_all_joints(best, candidates)
         grown = _best_at_own_level(best, wider)
+        if grown is not None:
+            grown = _with_other_joints(grown, wider, larger, search.pool)
+        why = ("price", "it explains more than its price")
+        alike = with_common(best, both[-1], search.pool) if common_beside != loads else []
+        common_beside = loads
+        if alike:
+            others = [] if grown is None else [grown]
+            chosen = choose(on_one_level([*others, *alike], search.pool))
+            if _keys(chosen) not in {_keys(f) for f in others}:
+                grown, why = at_own_level(chosen), ("one value", ALIKE)
         if grown is None:
             break
-        grown = _with_other_joints(grown, wider, larger, search.pool)
         pruned = prune(grown, search.pool, standing)
         if _keys(pruned) in found.seen:  # it would lead there again
             return
         older = _keys(best)
-        found.takes(grown, "price", "it explains more than its price")
+        found.takes(grown, *why)
         found.takes(pruned, "price", PRUNED)
         found.seen.add(_keys(pruned))
         standing = {e.key: _neighbours(pruned, e) for e in pruned.effects}
@@ -273,6 +285,39 @@ def with_ordinary(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> Fit
     left = prune(rubbing, pool)
     several = len({e.joint for e in left.effects if e.key not in older}) > 1
     return left if several and score(left) < score(fit(left.problem, best.effects)) else None
+
+
+def with_common(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> list[Fit]:
+    """Sets with a cause that several joints often have by one value (`Effect.common`) on all joints of which
+    it explains something certain, where the data support it on several of them by one value: what is late has
+    one clock, and motors of one type have one torque constant. Only causes that no joint has yet."""
+    certain, names = best.settings.search.certain, best.problem.robot.joint_names
+    taken = {e.effect.name for e in best.effects}
+    groups: dict[object, list[Planned]] = {}
+    for s in scanned:
+        effect = s.candidate.effect
+        if effect.common and effect.name not in taken and s.removes >= certain:
+            groups.setdefault((effect.name, s.candidate.words), []).append(replace(s, since=None).planned())
+    older, found = _keys(best), []
+    for group in groups.values():
+        if len(group) == 1:
+            continue
+        group.sort(key=lambda e: names.index(str(e.joint)))
+        larger = prune(at_own_level(fit(best.problem, [*best.effects, *group])), pool)
+        added = [k for k, e in enumerate(larger.effects) if e.key not in older]
+        if len(added) > 1 and _one_value(larger, added):
+            found.append(larger)
+    return found
+
+
+def _one_value(result: Fit, added: Sequence[int]) -> bool:
+    """Whether the sizes of some effects of one law agree as far as their standard errors let them."""
+    spread = standard_errors(result)
+    size = result.effects[added[0]].effect.nulls[0].name
+    values = np.array([float(result.effects[k].values[size]) for k in added])
+    errors = np.maximum([spread[k][size][0] for k in added], 1e-300)
+    mean = float(np.average(values, weights=errors**-2.0))
+    return bool(np.all(np.abs(values - mean) <= result.settings.verdict.same * errors))
 
 
 def _with_other_joints(grown: Fit, found: Sequence[Fit], larger: Sequence[Fit], pool: WorkerPool) -> Fit:

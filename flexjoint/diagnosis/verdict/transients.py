@@ -27,19 +27,31 @@ def with_pushes(
 ) -> tuple[Unexplained, ...]:
     """What is left of balances, with begin, end and torque where it is a push on the joint's link; `start` is
     the time of the recording at which that of the residuals counts from [s]."""
-    views = {(view.joint, view.balance): view for view in residuals}
+    found = pushes(residuals, settings)
     out = []
     for one in left:
-        # what acts on the link is in the balance of the link; a rigid joint has the motor's only
-        link = (one.joint, "link") in views
-        view = views[one.joint, one.balance]
-        found = None if one.balance != ("link" if link else "motor") else push_of(view, settings)
-        if found is None:
+        push = found.get((one.joint, one.balance))
+        if push is None:
             out.append(one)
             continue
-        begin, end, torque = found
+        begin, end, torque = push
         out.append(replace(one, against="t", begin=start + begin, end=start + end, torque=torque))
     return tuple(out)
+
+
+def pushes(
+    residuals: Sequence[ResidualView], settings: VerdictSettings
+) -> dict[tuple[str, str], tuple[float, float, float]]:
+    """`push_of` the balances, by joint and balance, that are left a push on the joint's link."""
+    links = {view.joint for view in residuals if view.balance == "link"}
+    found = {}
+    for view in residuals:
+        # what acts on the link is in the balance of the link; a rigid joint has the motor's only
+        if view.balance == ("link" if view.joint in links else "motor"):
+            push = push_of(view, settings)
+            if push is not None:
+                found[view.joint, view.balance] = push
+    return found
 
 
 def push_of(view: ResidualView, settings: VerdictSettings) -> tuple[float, float, float] | None:
@@ -68,7 +80,9 @@ def push_of(view: ResidualView, settings: VerdictSettings) -> tuple[float, float
     )
     if gone < others + settings.push_clear:
         return None
-    return float(time[first]), float(time[last - 1]), -level  # the motors have to give less
+    # in the middle of its readings: dry friction of a joint that rests takes some of the push
+    torque = float(np.median(rest[inside]) - np.median(outside))
+    return float(time[first]), float(time[last - 1]), -torque  # the motors have to give less
 
 
 def _interval(time: np.ndarray, rest: np.ndarray, least: float, most: float) -> tuple[int, int]:

@@ -6,12 +6,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+from planting import plant, robot_file
+from planting.machine.sensing import SensorSet
 from support.diagnose_cases import Case, as_recording, nominal
 from support.robots.coupled_robots import coupled, swinging
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.model.dynamics import FlexibleJointModel
+from flexjoint.robot.robot import load
 from flexjoint.simulation.simulate import simulate
 
 FLEXIBLE = ["gimbal", "crane", "scara"]
@@ -80,3 +83,18 @@ def test_a_raised_level_keeps_numbers_plausible_or_leaves_too_little_to_tell(rob
         up = np.broadcast_to(there.level.implausibility, len(one.balances.rows)) > 1.0
         left = float(np.sum(there.rest_by_row(y)[up] ** 2))
         assert abs(there.deviations(y)[k]) <= limits.plausible or left <= 2.0 * limits.telling
+
+
+@pytest.mark.parametrize("deviations", [20.0, 60.0])
+def test_a_number_that_other_balances_hold_raises_none_without_end(deviations: float) -> None:
+    """Where the balances that tell most of a number are raised, others that tell little hold it as far off:
+    doubled until that is plausible, a level would overflow."""
+    path = robot_file("dirty_drawn_12_of6_rigid_5")
+    sensors = SensorSet(channels=("theta", "tau_motor"))
+    recorded = as_recording(plant(path, [], "rich", 8.0, 5, sensors, rate=250.0))
+    one = Problem(balances_of(load(path), recorded))
+    for k, number in enumerate(one.nuisance):
+        if number.name == "inertial":
+            with np.errstate(over="raise"):
+                level = one.plausible_level(off(one, k, deviations))
+            assert np.all(np.isfinite(level.inflation))

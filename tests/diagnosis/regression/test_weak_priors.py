@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
@@ -42,6 +44,29 @@ def test_the_prior_moves_no_number_that_the_data_show(problem: Problem) -> None:
     fitted = fit(problem, [effect(WORN.effect, WORN.joint, level=1.0, distance=0.3)])
 
     assert fitted.effects[0].values["level"] == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "param"), [("cable_spring", "rest"), ("end_stop", "position"), ("rough_spot", "position")]
+)
+def test_a_position_of_a_joint_lies_within_a_turn(name: str, param: str) -> None:
+    planned = effect(name, "swing", **{param: 12.566})
+    (number,) = (p for p in planned.effect.params if p.name == param)
+
+    value, slope = weak_prior(Slot(0, number, 0), [planned], USUAL.regression, 10.0)
+
+    assert value == pytest.approx(2.0, rel=1e-3) and slope == pytest.approx(value / 12.566)
+
+
+def test_a_constant_torque_is_no_spring_at_rest_far_away() -> None:
+    """Its stiffness and its rest would trade places along a line, up to a bound, and neither is known."""
+    case = Case("lever", "rich", 4).with_causes(Planted("torque_offset", "swing", {"offset": 0.8}))
+    problem = Problem(balances_of(nominal("lever"), as_recording(case)))
+    spring = fit(problem, [effect("cable_spring", "swing", stiffness=0.1, rest=8.0)])
+    offset = fit(problem, [effect("torque_offset", "swing", offset=0.5)])
+
+    assert abs(spring.effects[0].values["rest"]) < 8.0 * math.pi
+    assert offset.energy < spring.energy
 
 
 @pytest.mark.parametrize(("name", "param"), [("torque_saturation", "limit"), ("spring_preload", "torque")])

@@ -3,7 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from flexjoint.diagnosis.regression.fit import fit
-from flexjoint.diagnosis.search.criteria import at_own_level, score
+from flexjoint.diagnosis.search.criteria import at_own_level, repeated, score
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
@@ -25,8 +25,10 @@ class KnownName(Check[Case]):
 
     def objections(self, case: Case) -> tuple[Objection, ...]:
         selection, best = case.selection, case.selection.best
+        again = repeated(best.effects, best.settings.search)
+        shared = {*again, *again.values()}  # one cause of several joints has one name
         for k, planned in enumerate(best.effects):
-            for rival in selection.rivals[k] if planned.effect.known_as else ():
+            for rival in selection.rivals[k] if planned.effect.known_as and k not in shared else ():
                 other = rival.effects[-1]
                 known = other.joint == planned.joint and other.effect.name in planned.effect.known_as
                 alone = len(rival.effects) == len(best.effects)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from flexjoint.diagnosis.regression.uncertainty import certainty, standard_errors
-from flexjoint.diagnosis.search.criteria import prices
+from flexjoint.diagnosis.search.criteria import prices, repeated
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
@@ -15,7 +15,8 @@ class UncertainSize(Check[Case]):
     reason = (
         "The numbers of a cause must differ from those of no effect by as many standard errors as its price"
         " in chi-square asks for; where the residual is not white, these errors are larger than the curvature"
-        " of a fit suggests, and the energy that it explains is worth less."
+        " of a fit suggests, and the energy that it explains is worth less. A cause that several"
+        " joints have in common is one."
     )
 
     def limit(self, settings: Settings) -> float:
@@ -25,7 +26,12 @@ class UncertainSize(Check[Case]):
         best = case.selection.best
         pairs = zip(best.effects, standard_errors(best), strict=True)
         certain = np.array([certainty(best, e, std) for e, std in pairs])
-        needed = np.maximum(self.limit(best.settings), np.sqrt(prices(best)))
+        price, again = np.array(prices(best)), repeated(best.effects, best.settings.search)
+        for k in set(again.values()):  # one cause of several joints: they tell together how large it is
+            joints = [k, *(other for other, first in again.items() if first == k)]
+            certain[joints] = np.sqrt(np.sum(certain[joints] ** 2))
+            price[joints] = price[k]
+        needed = np.maximum(self.limit(best.settings), np.sqrt(price))
         worst = int(np.argmin(certain / needed))
         if certain[worst] >= needed[worst]:
             return ()

@@ -116,3 +116,31 @@ def test_half_the_torque_beside_numbers_that_are_all_off_is_refused() -> None:
     imagined = replace(measured, effects=tuple(weak), left=0.0, balances=(0.0,) * len(measured.balances))
 
     assert not question.clears(imagined)
+
+
+class SearchedError(Exception):
+    pass
+
+
+def _searched(*_args: object, **_options: object) -> Selection:
+    raise SearchedError
+
+
+@pytest.mark.parametrize(("share", "searched"), [(0.3, False), (0.0, True)])
+def test_a_push_on_the_link_is_no_cause_of_its_joint(
+    monkeypatch: pytest.MonkeyPatch, share: float, searched: bool
+) -> None:
+    """What is left is then told as a push; a law of the joint could only imitate it."""
+    push = Planted("pushes", OTHER, {"torque": share * 6.32, "times": (4.0,), "length": 1.0})
+    friction = Planted("load_friction", OTHER, {"coefficient": 0.1})
+    selection, candidates = found_nothing(push if share else friction)
+    best = selection.best
+    own = tuple(c for c in candidates if c.joint == OTHER)
+    question = Question(best, unseen_problem(best.problem), own, replace(LEFT, joint=OTHER))
+    monkeypatch.setattr("flexjoint.diagnosis.verdict.joints.search.select", _searched)
+
+    if searched:
+        with pytest.raises(SearchedError):
+            JOINT_SEARCH.find(question)
+    else:
+        assert JOINT_SEARCH.find(question) is None
