@@ -12,6 +12,8 @@ from flexjoint.core.limits import ROBOT_FILE
 from flexjoint.core.messages import shown
 from flexjoint.robot.reading.yaml_file import check_values
 
+RIGID = "; .inf if the joint is rigid, else that of its spring [N m/rad]"
+
 
 class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
@@ -217,9 +219,12 @@ def _readable(error: ValidationError, raw: dict[str, Any], where: str) -> FlexJo
         return RobotError(
             f"{where}{inside}: {unknown('key', path[-1], kind.model_fields)}{_elsewhere(path[-1])}"
         )
+    hint = RIGID if path[0] == "joints" and path[-1] == "stiffness" else ""
     if first["type"] == "missing":
-        return RobotError(f"{where}: {'.'.join(path)} is missing; every robot needs it")
-    return RobotError(f"{where}: {'.'.join(path)}: {first['msg']}, got {shown(repr(first.get('input')))}")
+        return RobotError(f"{where}: {'.'.join(path)} is missing; every robot needs it{hint}")
+    return RobotError(
+        f"{where}: {'.'.join(path)}: {first['msg']}, got {shown(repr(first.get('input')))}{hint}"
+    )
 
 
 def _elsewhere(key: str) -> str:

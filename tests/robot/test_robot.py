@@ -113,6 +113,8 @@ GAP = {"effect": "backlash", "joint": "elbow", "gap": 0.01}
         ({"joints": {"elbow": {**JOINT, "stifness": 1}}}, "joints.elbow: unknown key 'stifness' .*stiffness"),
         ({"joints": {"elbow": {**JOINT, "stiffness": -1}}}, "elbow.stiffness: .*greater than 0, got -1"),
         ({"joints": {"elbow": {**JOINT, "stiffness": "hard"}}}, "joints.elbow.stiffness: .*got 'hard'"),
+        ({"joints": {"elbow": {**JOINT, "stiffness": "rigid"}}}, "'rigid'; .inf if the joint is rigid"),
+        ({"joints": {"elbow": {"motor_inertia": 1}}}, "elbow.stiffness is missing; .*; .inf if the joint is"),
         ({"joints": {"elbow": {**JOINT, "damping": float("nan")}}}, "joints.elbow.damping"),
         ({"joints": {"elbow": {"stiffness": 260}}}, "joints.elbow.motor_inertia is missing"),
         ({"joints": {"ellbow": JOINT}}, r"'ellbow' \(did you mean 'elbow'\?\); valid: elbow, shoulder"),

@@ -80,9 +80,21 @@ def push_of(view: ResidualView, settings: VerdictSettings) -> tuple[float, float
     )
     if gone < others + settings.push_clear:
         return None
+    if _rubs(rest[inside] - np.mean(outside), view.signals.get("dtheta"), inside):
+        return None
     # in the middle of its readings: dry friction of a joint that rests takes some of the push
     torque = float(np.median(rest[inside]) - np.median(outside))
     return float(time[first]), float(time[last - 1]), -torque  # the motors have to give less
+
+
+def _rubs(force: np.ndarray, speed: np.ndarray | None, inside: slice) -> bool:
+    """Whether a torque that is proportional to the joint's speed is more like what is left than one that is
+    constant: a stroke of which the friction was higher, and no push."""
+    if speed is None or not np.any(speed[inside]):
+        return False
+    v = speed[inside]
+    along = force - float(force @ v) / float(v @ v) * v
+    return float(along @ along) < float(np.sum((force - np.mean(force)) ** 2))
 
 
 def _interval(time: np.ndarray, rest: np.ndarray, least: float, most: float) -> tuple[int, int]:

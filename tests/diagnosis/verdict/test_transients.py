@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from planting import Planted, plant, robot_file
@@ -105,6 +107,24 @@ def view(after: np.ndarray) -> ResidualView:
 )
 def test_what_is_no_push(after: np.ndarray) -> None:
     assert push_of(view(after), USUAL.verdict) is None
+
+
+def in_one_stroke(left: np.ndarray) -> ResidualView:
+    """Of a joint that goes forward and back six times, what is left of its third move, from 4 to 5 s."""
+    speed = np.zeros_like(T)
+    for k in range(6):
+        share = np.clip(T - 2.0 * k, 0.0, 1.0)
+        speed += (-1.0) ** k * 30.0 * (share * (1.0 - share)) ** 2
+    shown = view(left * np.where((T >= 4.0) & (T < 5.0), speed, 0.0))
+    return replace(shown, signals={**shown.signals, "dtheta": speed})
+
+
+def test_friction_of_one_move_is_no_push() -> None:
+    """A cold joint rubs more the first time that it moves."""
+    rubs = in_one_stroke(np.full_like(T, -0.3))
+    assert push_of(rubs, USUAL.verdict) is None
+    steady = replace(rubs, after=view(np.where((T >= 4.1) & (T < 4.9), -0.5, 0.0)).after)
+    assert push_of(steady, USUAL.verdict) is not None
 
 
 def test_times_and_torque_of_a_push() -> None:
