@@ -437,7 +437,7 @@ class SearchSettings(Stage):
         "judgement",
     )
     one_value: float = number(
-        0.5,
+        0.4,
         "share of its size on one joint",
         "by which a cause that several joints often have in common may differ on another and count as the"
         " same one, which costs no more than a further number",
@@ -1269,6 +1269,49 @@ class PlanSettings(Stage):
 
 
 @dataclass(frozen=True)
+class FleetSettings(Stage):
+    """Fleet: who needs somebody, since when, and how sure."""
+
+    false_alarms: float = number(
+        0.05,
+        "share",
+        "of the robots that are shown, that nobody needs to look at",
+        "theory: Benjamini and Hochberg 1995",
+    )
+    searches: int = number(
+        3, "recordings", "that are searched in full after an alarm: the first two and the latest", "judgement"
+    )
+    confirmed: int = number(
+        2, "recordings", "that must alarm, and name a cause alike, before its name is shown", "judgement"
+    )
+    fewest: int = number(5, "recordings", "in which a number can be said to have changed", "judgement")
+    penalty: float = number(
+        3.0,
+        "log of the recordings times variance",
+        "of a change point (`ruptures`, Pelt)",
+        "theory: Killick, Fearnhead and Eckley 2012; Yao 1988 has two, of known variance",
+    )
+    warm: float = number(1.0, "deg C", "range of the temperatures from which they are taken out", "judgement")
+    least_change: float = number(
+        0.03, "share of a number", "by which it must change to matter, as in a check", "judgement"
+    )
+    alike: float = number(
+        0.8,
+        "share of the robots of one type",
+        "with one cause, for the nominal model to be wrong",
+        "judgement",
+    )
+    fewest_alike: int = number(3, "robots", "of one type that can be each other's reference", "judgement")
+    odd: float = number(
+        5.0,
+        "robust standard deviations",
+        "of the other robots of its type, from which one is odd",
+        "judgement",
+    )
+    restarts: int = number(2, "times", "that a recording is tried whose worker died", "judgement")
+
+
+@dataclass(frozen=True)
 class Settings:
     """All numbers that decide in a diagnosis, stage by stage."""
 
@@ -1284,6 +1327,7 @@ class Settings:
     check: CheckSettings = CheckSettings()
     learn: LearnSettings = LearnSettings()
     plan: PlanSettings = PlanSettings()
+    fleet: FleetSettings = FleetSettings()
 
     def stages(self) -> Iterator[tuple[str, Stage]]:
         """Every stage with its name, in the order in which they run."""

@@ -26,10 +26,10 @@ from flexjoint.diagnosis.followup.fleet import campaign, words, workers
 from flexjoint.diagnosis.followup.fleet.assess import assessed, of_types
 from flexjoint.diagnosis.followup.fleet.campaign import Period, Reading
 from flexjoint.diagnosis.followup.fleet.roster import Entry, Event
-from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
 from flexjoint.diagnosis.followup.fleet.trends import DAY
 from flexjoint.diagnosis.followup.fleet.units import Store, Unit, perform, release, unit_of
 from flexjoint.diagnosis.followup.fleet.workers import cluster, local
+from flexjoint.diagnosis.settings import FleetSettings
 from flexjoint.recording.table import Recording
 from flexjoint.recording.table import write as write_recording
 from flexjoint.report.fleet import watch

@@ -42,5 +42,6 @@ def _of_sensors(balances: Balances) -> str:
         return ""
     return (
         f"; tau_t of {sensed[0]} is a torque sensor's, which lies in a spring: give the joint its stiffness"
-        " in the robot file, or name the column tau_motor if the torque is the motor's"
+        " in the robot file (its rough size, such as 1e4, will do where theta is not recorded), or name the"
+        " column tau_motor if the torque is the motor's"
     )

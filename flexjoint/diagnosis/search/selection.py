@@ -289,8 +289,8 @@ def with_ordinary(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> Fit
 
 def with_common(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> list[Fit]:
     """Sets with a cause that several joints often have by one value (`Effect.common`) on all joints of which
-    it explains something certain, where the data support it on several of them by one value: what is late has
-    one clock, and motors of one type have one torque constant. Only causes that no joint has yet."""
+    it explains something certain, where the data support it on several of them by about one value: what is
+    late has one clock, and motors of one type have one torque constant. Only causes that no joint has yet."""
     certain, names = best.settings.search.certain, best.problem.robot.joint_names
     taken = {e.effect.name for e in best.effects}
     groups: dict[object, list[Planned]] = {}
@@ -304,20 +304,29 @@ def with_common(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> list[
             continue
         group.sort(key=lambda e: names.index(str(e.joint)))
         larger = prune(at_own_level(fit(best.problem, [*best.effects, *group])), pool)
-        added = [k for k, e in enumerate(larger.effects) if e.key not in older]
-        if len(added) > 1 and _one_value(larger, added):
-            found.append(larger)
+        alike = _of_one_value(larger, older)
+        if alike is not None:
+            found.append(alike)
     return found
 
 
-def _one_value(result: Fit, added: Sequence[int]) -> bool:
-    """Whether the sizes of some effects of one law agree as far as their standard errors let them."""
-    spread = standard_errors(result)
-    size = result.effects[added[0]].effect.nulls[0].name
-    values = np.array([float(result.effects[k].values[size]) for k in added])
-    errors = np.maximum([spread[k][size][0] for k in added], 1e-300)
-    mean = float(np.average(values, weights=errors**-2.0))
-    return bool(np.all(np.abs(values - mean) <= result.settings.verdict.same * errors))
+def _of_one_value(result: Fit, older: frozenset[Key]) -> Fit | None:
+    """The set without those of its new effects of one law that are not about as large as the others, or as
+    large as their standard errors let them be; None where less than two are left."""
+    share, limits = result.settings.search.one_value, result.settings.verdict
+    while True:
+        added = [k for k, e in enumerate(result.effects) if e.key not in older]
+        if len(added) <= 1:
+            return None
+        spread, size = standard_errors(result), result.effects[added[0]].effect.nulls[0].name
+        values = np.array([float(result.effects[k].values[size]) for k in added])
+        errors = np.array([spread[k][size][0] for k in added])
+        usual = float(np.median(values))
+        beyond = np.abs(values - usual) - np.maximum(limits.same * errors, share * abs(usual))
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 0.0:
+            return result
+        result = at_own_level(refit_without(result, result.effects[added[worst]]))
 
 
 def _with_other_joints(grown: Fit, found: Sequence[Fit], larger: Sequence[Fit], pool: WorkerPool) -> Fit:

@@ -16,9 +16,9 @@ from flexjoint.diagnosis.followup.fleet import roster as rosters
 from flexjoint.diagnosis.followup.fleet.assess import assessed, of_types
 from flexjoint.diagnosis.followup.fleet.campaign import campaign
 from flexjoint.diagnosis.followup.fleet.fleet import Fleet
-from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
 from flexjoint.diagnosis.followup.fleet.units import Store
 from flexjoint.diagnosis.followup.fleet.workers import cluster, local
+from flexjoint.diagnosis.settings import FleetSettings
 from flexjoint.report.fleet import page
 from flexjoint.robot.robot import load
 

@@ -33,12 +33,12 @@ from flexjoint.diagnosis.followup.fleet.assess import assessed
 from flexjoint.diagnosis.followup.fleet.campaign import Period, Reading
 from flexjoint.diagnosis.followup.fleet.fleet import Fleet
 from flexjoint.diagnosis.followup.fleet.roster import Entry, Event
-from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
 from flexjoint.diagnosis.followup.fleet.trends import DAY
 from flexjoint.diagnosis.followup.fleet.units import Store, perform, unit_of
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.result.schema import names, schema
+from flexjoint.diagnosis.settings import FleetSettings
 from flexjoint.recording.table import Recording
 from flexjoint.recording.table import write as write_recording
 

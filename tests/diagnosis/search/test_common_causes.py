@@ -56,6 +56,11 @@ def test_different_gains_are_not_one_cause() -> None:
     assert not [f for f in sets(-0.3, 0.4, -0.1) if gained(f)]
 
 
+def test_a_joint_of_another_size_is_left_out() -> None:
+    found = min(sets(0.0, -0.2, -0.2, 0.5), key=lambda f: f.energy)
+    assert set(gained(found)) == set(JOINTS[1:3])
+
+
 def test_a_machine_without_any_has_none() -> None:
     assert sets() == []
 

@@ -19,10 +19,9 @@ from scipy.stats import binom, false_discovery_control
 
 from flexjoint.diagnosis.followup.fleet import words
 from flexjoint.diagnosis.followup.fleet.campaign import Key, Period, Reading
-from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
 from flexjoint.diagnosis.followup.fleet.trends import Change, change
 from flexjoint.diagnosis.result.wording import percent
-from flexjoint.diagnosis.settings import USUAL
+from flexjoint.diagnosis.settings import USUAL, FleetSettings
 from flexjoint.robot.robot import Robot
 
 State = Literal["needs", "again", "unusable", "green"]

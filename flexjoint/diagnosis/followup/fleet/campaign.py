@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from flexjoint.diagnosis.followup.fleet.roster import Entry, Event, Roster
-from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
 from flexjoint.diagnosis.followup.fleet.units import Store, Unit, unit_of
 from flexjoint.diagnosis.followup.fleet.workers import Runner
-from flexjoint.diagnosis.settings import USUAL
+from flexjoint.diagnosis.settings import USUAL, FleetSettings
 
 Key = tuple[str, str | None, str]  # effect, joint, parameter
 Content = Mapping[str, Any]

@@ -17,7 +17,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from flexjoint.core.errors import MissingExtraError
-from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
+from flexjoint.diagnosis.settings import FleetSettings
 
 FEWEST_IN_PIECE = 2
 WORSE = 5.0  # times the usual standard error of a number, from which a recording does not show it

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexjoint.diagnosis.followup.fleet.settings import FleetSettings
 from flexjoint.diagnosis.followup.fleet.trends import DAY, Change, change
+from flexjoint.diagnosis.settings import FleetSettings
 
 SETTINGS = FleetSettings()
 WEEKS = np.arange(12) * 7.0 * DAY
