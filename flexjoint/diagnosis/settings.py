@@ -330,10 +330,10 @@ class RegressionSettings(Stage):
         0.5, "m", "weak prior of components of a position that the data do not show", "judgement"
     )
     angle_deviation: float = number(
-        6.283,
+        1.0,
         "rad",
-        "weak prior of a position of a joint, within a turn: a spring at rest far beyond is only an offset",
-        "theory: 2 pi",
+        "weak prior of a position of a joint: a spring at rest far beyond its motion is only an offset",
+        "judgement",
     )
     torque_deviation: float = number(
         1.0,
