@@ -332,7 +332,7 @@ class RegressionSettings(Stage):
     angle_deviation: float = number(
         1.0,
         "rad",
-        "weak prior of a position of a joint: a spring at rest far beyond its motion is only an offset",
+        "weak prior of a position of a joint, about zero: a spring at rest far away is only an offset",
         "judgement",
     )
     torque_deviation: float = number(

@@ -376,7 +376,7 @@ def weak_prior(
     slot: Slot, effects: Sequence[Planned], settings: RegressionSettings, torque: float = np.inf
 ) -> tuple[float, float]:
     """Distance of a number from a plausible value, in weak prior deviations, and its derivative: a factor is
-    rarely off by more than two, a position lies within reach, one of a joint near its motion, and the level
+    rarely off by more than two, a position lies within reach, one of a joint near its zero, and the level
     of a friction or a ripple is hardly larger than the joint's RMS `torque` [N m]: where few samples show how
     fast a friction wears off, they do not show that it began with a multiple of that."""
     number, param = slot.get(effects), slot.param

@@ -230,7 +230,6 @@ class Problem(Recorded):
         together = np.array([row.joint if rigid else -1 for row in self.balances.rows])
         information = (self.counted / base)[:, None] * np.diagonal(grams, axis1=1, axis2=2)
         tells = information > limits.telling_share * np.max(information, axis=0)
-        # a balance that was raised until others tell far more of a number does not hold it any more
         while True:
             by_row = self.counted / (base * raised)
             gram = np.tensordot(by_row, grams, 1) + np.eye(len(self._plain))
@@ -239,6 +238,7 @@ class Problem(Recorded):
             joined = together[:, None] == together
             open_rows = joined @ (by_row * left) + deviations @ deviations > 2.0 * limits.telling
             current = information / raised[:, None]
+            # what was raised until others tell far more of a number does not hold it any more
             holds = current > limits.telling_share * np.max(current, axis=0)
             told = current * (tells & holds & open_rows[:, None])
             far = np.where(self._columns.claimed & np.any(told, axis=0), np.abs(deviations), 0.0)

@@ -18,12 +18,12 @@ from flexjoint.diagnosis.followup.fleet.campaign import campaign
 from flexjoint.diagnosis.followup.fleet.fleet import Fleet
 from flexjoint.diagnosis.followup.fleet.units import Store
 from flexjoint.diagnosis.followup.fleet.workers import cluster, local
-from flexjoint.diagnosis.settings import FleetSettings
+from flexjoint.diagnosis.settings import USUAL, FleetSettings
 from flexjoint.report.fleet import page
 from flexjoint.robot.robot import load
 
 UNITS, TABLE, PAGE, FOUND = "units", "fleet.parquet", "fleet.html", "fleet.json"
-USUAL = FleetSettings()
+
 Progress = Callable[[float, str], None]
 
 
@@ -35,7 +35,7 @@ def watch(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Progress | None = None,
-    settings: FleetSettings = USUAL,
+    settings: FleetSettings = USUAL.fleet,
 ) -> Fleet:
     """Check every recording of a fleet, diagnose what has changed, write a table, a page and its JSON.
 

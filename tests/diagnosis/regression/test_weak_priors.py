@@ -49,7 +49,7 @@ def test_the_prior_moves_no_number_that_the_data_show(problem: Problem) -> None:
 @pytest.mark.parametrize(
     ("name", "param"), [("cable_spring", "rest"), ("end_stop", "position"), ("rough_spot", "position")]
 )
-def test_a_position_of_a_joint_lies_near_its_motion(name: str, param: str) -> None:
+def test_a_position_of_a_joint_lies_near_its_zero(name: str, param: str) -> None:
     planned = effect(name, "swing", **{param: 12.5})
     (number,) = (p for p in planned.effect.params if p.name == param)
 
