@@ -17,6 +17,7 @@ from fuzz.hostile import command, fuzz
 from hypothesis import given
 from hypothesis import strategies as st
 from support.robots.robot_files import JOINT, URDF, content
+from support.thorough import thorough
 
 from flexjoint.effects import catalogue
 from flexjoint.recording import table as recording
@@ -218,6 +219,7 @@ def changed(values: np.ndarray, how: str, size: float) -> np.ndarray:
     return ways[how]
 
 
+@thorough
 @fuzz(6)
 @given(changes=damages)
 def test_diagnose_with_a_damaged_recording(folder: Path, changes: list[Damage]) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from support.robots.robot_files import MJCF, URDF, file
+from support.thorough import thorough
 
 from flexjoint.cli.main import main
 from flexjoint.core.errors import FlexJointError, RobotError, RobotWarning
@@ -260,6 +261,7 @@ def test_the_support_polygon_is_the_hull() -> None:
     assert len(layers._hull(points[:1])) == 1 and len(layers._hull(points[:2])) == 2
 
 
+@thorough
 def test_robots_side_by_side_do_not_touch() -> None:
     drawn = [wave("ur5", 1.0, label=label) for label in ("measured", "nominal", "extended")]
     scene = layers.build(drawn, layers.Looks(triangles=5000))
@@ -270,6 +272,7 @@ def test_robots_side_by_side_do_not_touch() -> None:
 
 
 # --- page -----------------------------------------------------------------------------------------------
+@thorough
 def test_centauro_three_times_is_light_enough_to_send() -> None:
     page = view.show(
         [wave("centauro", 60.0, d, label) for d, label in ((0.004, "a"), (0.005, "b"), (0.006, "c"))]

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 from support.browsers import changed, near, need_browser, pixels
+from support.thorough import thorough
 
 from flexjoint.cli.main import main
 from flexjoint.report import view
@@ -180,6 +181,7 @@ def test_the_spring_under_the_mouse_tells_its_joint(arm: Browser) -> None:
     assert arm.evaluate(f"{tip}.style.display") == "none"
 
 
+@thorough
 def test_robots_side_by_side_have_their_labels_above_them() -> None:
     measured = arm_motion()
     name = "nominal_with_a_name_that_is_very_long_and_has_no_spaces_in_it_anywhere"
@@ -202,6 +204,7 @@ def test_robots_side_by_side_have_their_labels_above_them() -> None:
         assert browser.said.errors == []
 
 
+@thorough
 def test_a_notebook_shows_it_in_a_frame() -> None:
     cell = view.show(arm_motion(), triangles=4000)._repr_html_()
     assert cell.startswith("<iframe srcdoc=") and markup.unescape(cell).count("MeshCat.Viewer") >= 1
@@ -231,12 +234,14 @@ def test_the_command_writes_images(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "wrote 1 images" in capsys.readouterr().out
 
 
+@thorough
 def test_pictures_tell_how_far_they_are(tmp_path: Path) -> None:
     page, told = view.show(arm_motion(), triangles=4000), []
     made = page.write_images(tmp_path, (160, 120), every=10, progress=lambda share, _what: told.append(share))
     assert told == [k / len(made) for k in range(len(made))] and len(made) > 2
 
 
+@thorough
 def test_a_video_is_made_of_all_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """ffmpeg itself is replaced by a script that notes what it is given."""
     encoder = tmp_path / "bin" / "ffmpeg"

@@ -74,6 +74,7 @@ def test_a_known_payload_in_one_recording_tells_the_gains_apart() -> None:
     assert any("swing-4 was recorded with a known payload of 2 kg on swing" in note for note in pair.notes)
 
 
+@thorough
 def test_a_known_payload_is_no_cause() -> None:
     loaded = diagnose(nominal("lever"), [swung(5, "load")], payloads=(LOAD,))
     assert loaded.verdict == "healthy", summary(loaded)

@@ -17,7 +17,7 @@ from study.run import Range, diagnosed, least_excess, ranges, records, write_ran
 from study.score import detectable, each_detectable, outcome, struck_outcome
 from study.summary import Rate
 from support.diagnose_cases import Case, as_recording, nominal
-from support.thorough import sample
+from support.thorough import sample, thorough
 
 # a fixed sample of the cases of `make study`: what every change must keep
 NAMED = (
@@ -284,19 +284,20 @@ def test_a_finding_stands_for_one_of_two_causes() -> None:
 
 
 # --- the sample -------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("part", "number"), sample(NAMED, one_in=12, several=True))
+@pytest.mark.parametrize(("part", "number"), sample(NAMED, one_in=48, several=True))
 def test_planted_causes_are_named(part: str, number: int) -> None:
     found = diagnosed(make(part, number))
     assert detectable(found)
     assert outcome(found) in ("exact", "tied"), misses([found])
 
 
-@pytest.mark.parametrize("number", sample(HEALTHY, one_in=4))
+@pytest.mark.parametrize("number", sample(HEALTHY, one_in=8))
 def test_healthy_machines_are_left_alone(number: int) -> None:
     found = diagnosed(make("healthy", number))
     assert not summary.alarmed(found), misses([found])
 
 
+@thorough
 @pytest.mark.parametrize("number", STRUCK)
 def test_a_struck_cause_gets_no_confident_wrong_name(number: int) -> None:
     found = diagnosed(make("struck", number))

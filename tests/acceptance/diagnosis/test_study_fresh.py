@@ -68,6 +68,7 @@ def _kind(case: StudyCase) -> str:
     return "struck" if case.excluded else fresh.BY_COUNT[len(case.case.effects)]
 
 
+@thorough
 def test_every_kind_is_drawn_and_can_be_told_apart() -> None:
     cases = [make("fresh", number) for number in range(60)]
     assert {_kind(case) for case in cases} == set(FRESH_KINDS)

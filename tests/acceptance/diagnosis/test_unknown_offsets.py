@@ -59,6 +59,7 @@ def test_a_stiffness_beside_unknown_offsets_leaves_the_noise(scale: float) -> No
     assert right.energy < 1.3 * problem.noise_energy
 
 
+@thorough
 @pytest.mark.parametrize(
     ("excitation", "cause"),
     [

@@ -232,6 +232,7 @@ def test_the_command_prints_the_tables(
     assert (tmp_path / "one-link.html").read_text(encoding="utf-8").count("<img") == 2
 
 
+@thorough
 def test_the_page_draws_fig_6_beside_the_papers_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three springs and three signals with their errors; the varying reference up to past its step."""
     monkeypatch.setattr(paper, "STEP_SECONDS", 1.0)

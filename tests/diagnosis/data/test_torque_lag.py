@@ -11,7 +11,7 @@ from planting import Planted, plant, robot_file
 from planting.machine.sensing import SensorSet
 from scipy.signal import lfilter
 from support.diagnose_cases import as_recording, summary
-from support.thorough import sample, thorough
+from support.thorough import thorough
 
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.data.torques.lag import advanced, torque_lag
@@ -58,8 +58,9 @@ def with_torques(recording: Recording, top: list[float], bottom: list[float]) ->
     return replace(recording, columns=columns)
 
 
-@pytest.mark.parametrize("rate", sample([125.0, 250.0], one_in=2))
-@pytest.mark.parametrize("constant", sample([0.02, 0.005], one_in=2))
+@thorough
+@pytest.mark.parametrize("rate", [125.0, 250.0])
+@pytest.mark.parametrize("constant", [0.02, 0.005])
 def test_the_time_constant_of_filtered_torques_is_found(constant: float, rate: float) -> None:
     lag = torque_lag(robot(), filtered(recorded(rate), constant))
     assert lag is not None
@@ -80,6 +81,7 @@ def test_a_lag_is_found_beside_noise_that_hides_it_at_every_instant() -> None:
     assert lag.std < 0.0005
 
 
+@thorough
 def test_a_moving_average_lags_by_half_its_length() -> None:
     length = 5  # samples of 4 ms
     lag = torque_lag(robot(), with_torques(recorded(), [1.0 / length] * length, [1.0]))

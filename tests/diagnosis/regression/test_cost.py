@@ -54,6 +54,7 @@ def scanned(workers: int, current: Fit) -> list[tuple[object, ...]]:
     return [(s.candidate, s.amplitude.tolist(), s.removes, s.since, s.sight) for s in found]
 
 
+@thorough
 def test_any_number_of_processes_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     current = fit(problem(), [effect("motor_coulomb_friction", "elbow", level=0.3)])
     alone = scanned(1, current)

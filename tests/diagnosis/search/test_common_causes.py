@@ -8,6 +8,7 @@ import pytest
 from planting import Planted, plant, robot_file
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording
+from support.thorough import thorough
 
 from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
@@ -52,15 +53,18 @@ def test_motors_of_one_type_have_one_gain() -> None:
     assert list(sizes.values()) == pytest.approx([-0.2] * 2, abs=0.03)
 
 
+@thorough
 def test_different_gains_are_not_one_cause() -> None:
     assert not [f for f in sets(-0.3, 0.4, -0.1) if gained(f)]
 
 
+@thorough
 def test_a_joint_of_another_size_is_left_out() -> None:
     found = min(sets(0.0, -0.2, -0.2, 0.5), key=lambda f: f.energy)
     assert set(gained(found)) == set(JOINTS[1:3])
 
 
+@thorough
 def test_a_machine_without_any_has_none() -> None:
     assert sets() == []
 

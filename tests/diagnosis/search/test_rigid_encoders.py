@@ -8,6 +8,7 @@ import pytest
 from planting import Planted, plant, robot_file
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording
+from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit
@@ -38,6 +39,7 @@ def first(channel: str) -> Scored:
     return Scanner(enumerate_candidates(problem, frozenset())).scan(bare)[0]
 
 
+@thorough
 @pytest.mark.parametrize("channel", ["q", "theta"])
 def test_a_ripple_of_an_encoder_is_found_with_its_cycles(channel: str) -> None:
     found = first(channel)

@@ -97,6 +97,7 @@ def test_an_implausible_number_raises_the_level_of_its_own_joint_only() -> None:
     assert judged.implausible > 1.0
 
 
+@thorough
 def test_what_two_joints_are_late_by_may_be_common_to_all() -> None:
     """On recording B the delay of joint 1 does not show until the frictions of joints 2 and 3 are named."""
     robot, recorded = load("kr300"), recorded_on_kr300("rec_B")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, found_in, nominal, summary
-from support.thorough import sample
+from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import Fit, fit
@@ -86,9 +86,8 @@ def test_on_one_joint_a_late_torque_is_late_readings() -> None:
     assert {"torque_delay", "sensor_delay"} <= names, summary(result)
 
 
-@pytest.mark.parametrize(
-    ("seconds", "named"), sample([(0.02, "current_lag"), (0.0005, "torque_delay")], one_in=2, several=True)
-)
+@thorough
+@pytest.mark.parametrize(("seconds", "named"), [(0.02, "current_lag"), (0.0005, "torque_delay")])
 def test_a_lag_is_named_a_delay_where_both_fit(seconds: float, named: str) -> None:
     """A lag differs from a dead time to second order in it."""
     case = Case("crane", "rich", 5)

@@ -126,6 +126,7 @@ def test_a_law_of_several_recordings_holds_on_one_that_none_of_them_is() -> None
     assert after < before / 20.0
 
 
+@thorough
 def test_a_law_that_only_one_of_two_recordings_shows_is_not_kept() -> None:
     robot, recording, found, _ = learned(HOSE)
     result = fj.learn(robot, [recording, moving(2003)], found).learned

@@ -83,6 +83,7 @@ def test_a_law_that_is_worse_at_some_place_is_dropped() -> None:
 
 
 # ------------------------------------------------------------------ the extended robot
+@thorough
 def test_laws_come_in_beside_the_causes_beside_which_they_were_learned_alone() -> None:
     robot = nominal(CASE.robot)
     stop = fj.effect("end_stop", JOINT, position=POSITION, stiffness=5000.0)
