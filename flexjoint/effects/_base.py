@@ -133,6 +133,7 @@ class Effect:
     alike: ClassVar[tuple[str, ...]] = ()  # numbers that, being equal, leave the effect that it contains
     known_as: ClassVar[tuple[str, ...]] = ()  # effects as which it is named where they fit as well
     on_rigid: ClassVar[str] = ""  # the effect of the motor that it is one with where there is no spring
+    repeats: ClassVar[str] = ""  # number of cycles of a law that is periodic in `against`, or its channel
     common: ClassVar[bool] = False  # several joints often have it by one value: one clock, one scale
     ordinary: ClassVar[bool] = False  # every machine has it: looked for first on a joint that leaves much
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness

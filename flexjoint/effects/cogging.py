@@ -7,13 +7,14 @@ from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
 from flexjoint.effects._base import Effect, Signals, Site, Source, Typical
 from flexjoint.effects._sources import WALKMAN_B12
-from flexjoint.effects._starts import PHASES, grid, ripple_cycles, whole_cycles
+from flexjoint.effects._starts import PHASES, grid, whole_cycles
 
 
 class Cogging(Effect):
     """The motor's torque ripples with its angle, loaded or not; cycles counts per turn of theta."""
 
-    site, against, reference = Site.COMMAND, "theta", "Hanselman 2006 (cogging torque)"
+    site, against, repeats = Site.COMMAND, "theta", "cycles"
+    reference = "Hanselman 2006 (cogging torque)"
     law = r"\tau = \tau_m + a \sin(n \theta + \psi)"
     params = (
         Parameter("amplitude", "N m", "a", value=0.2, low=0.0, high=1e4),
@@ -45,5 +46,4 @@ class Cogging(Effect):
         return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        cycles = (*whole_cycles(s.theta), *ripple_cycles(s.theta, s.tau_m, (s.tau_t, s.dtheta), s.t))
-        return grid(self.params, cycles=cycles, phase=PHASES)
+        return grid(self.params, cycles=whole_cycles(s.theta), phase=PHASES)

@@ -2,20 +2,18 @@
 
 from typing import Any
 
-import numpy as np
-
 from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
 from flexjoint.effects._base import Effect, Kind, Signals, Site, Source, Typical, Word
-from flexjoint.effects._starts import PHASES, few_periods, grid, ripple_cycles
+from flexjoint.effects._starts import PHASES, few_periods, grid
 
 
 class EncoderRipple(Effect):
     """An encoder's reading ripples with the angle it measures: its lines, or what divides them, are uneven,
     or it is driven through a wheel of its own that runs out of true."""
 
-    site, kind, against = Site.SENSOR, Kind.SENSOR, "q"
+    site, kind, against, repeats = Site.SENSOR, Kind.SENSOR, "q", "cycles"
     reference = "Kavanagh 2001 (errors of encoders within a line)"
     law = r"y = x + a \sin(n x + \psi)"
     params = (
@@ -41,13 +39,5 @@ class EncoderRipple(Effect):
         return x + p.amplitude * ops.sin(p.cycles * x + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        # of a rigid joint the load shows it that the angle is taken to need
-        shown, beside = (s.phi, s.tau_t) if np.ptp(s.phi) > 0.0 else (s.tau_t, s.tau_m)
-        known = beside, s.dtheta, s.dphi
-        cycles = (
-            *few_periods(s.q),
-            *ripple_cycles(s.q, shown, known, s.t),
-            *ripple_cycles(s.theta, shown, known, s.t),
-        )
-        cycles = cycles or (self.params[1].value,)
+        cycles = few_periods(s.q) or (self.params[1].value,)
         return grid(self.params, cycles=cycles, phase=PHASES)

@@ -7,14 +7,14 @@ from flexjoint.core import ops
 from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
 from flexjoint.effects._base import Effect, Signals, Site
-from flexjoint.effects._starts import PHASES, grid, rhythms
 
 
 class PeriodicDisturbance(Effect):
     """Something shakes the link at a rhythm of its own (a fan, a pump, a tool out of balance, a swaying
     base), whatever the robot does. The phase counts from the recording's start."""
 
-    site, against, reference = Site.LINK, "t", "Francis and Wonham 1976 (disturbances of known rhythm)"
+    site, against, repeats = Site.LINK, "t", "frequency"
+    reference = "Francis and Wonham 1976 (disturbances of known rhythm)"
     law = r"+\,a \sin(2 \pi f t + \psi)"
     params = (
         Parameter("amplitude", "N m", "a", value=0.2, low=0.0, high=1e4),
@@ -24,6 +24,3 @@ class PeriodicDisturbance(Effect):
 
     def torque(self, s: Signals, p: Any, z: Value) -> Value:
         return p.amplitude * ops.sin(2.0 * pi * p.frequency * s.t + p.phase)
-
-    def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        return grid(self.params, frequency=rhythms(s), phase=PHASES)

@@ -7,7 +7,7 @@ from flexjoint.core.ops import Value
 from flexjoint.core.parameter import Parameter
 from flexjoint.effects._base import Effect, Signals, Site, Typical
 from flexjoint.effects._sources import HARMONIC_DRIVE
-from flexjoint.effects._starts import PHASES, grid, ripple_cycles, whole_cycles
+from flexjoint.effects._starts import PHASES, grid, whole_cycles
 
 
 class TransmissionError(Effect):
@@ -16,7 +16,8 @@ class TransmissionError(Effect):
     The damper acts on dphi as before; cycles counts per turn of theta.
     """
 
-    site, against, reference = Site.DEFLECTION, "theta", "Ghorbel, Gandhi and Alpeter 2001"
+    site, against, repeats = Site.DEFLECTION, "theta", "cycles"
+    reference = "Ghorbel, Gandhi and Alpeter 2001"
     law = r"\phi + a \sin(n \theta + \psi)"
     params = (
         Parameter("amplitude", "rad", "a", value=5e-4, low=0.0, high=0.5),
@@ -35,5 +36,4 @@ class TransmissionError(Effect):
         return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        cycles = (*whole_cycles(s.theta), *ripple_cycles(s.theta, s.phi, (s.tau_t, s.dtheta, s.dphi), s.t))
-        return grid(self.params, cycles=cycles, phase=PHASES)
+        return grid(self.params, cycles=whole_cycles(s.theta), phase=PHASES)

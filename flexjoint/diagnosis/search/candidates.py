@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, acts_within_a_joint
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.whitening import Band, Whitening
+from flexjoint.diagnosis.search.ripples import ripples
 from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Effect, Parameter, Planned, Site, catalogue
 
@@ -180,6 +181,12 @@ def traces(problem: Problem, candidate: Candidate, base: Sequence[Planned], y: n
     listed = next((e for e in base if e.key == candidate.key), None)
     phase = [p.name for p in effect.params if p.wraps]
     starts: Sequence[Mapping[str, Any]] = problem.starts(effect, candidate.joint)
+    if effect.repeats and candidate.joint is not None:
+        signal = str(dict(candidate.words).get("channel", effect.against))
+        number = next(p for p in effect.params if p.name == effect.repeats)
+        unit = 2.0 * np.pi if signal == "t" else 1.0  # Hz of a rhythm
+        cycles = ripples(problem, candidate.joint, signal, base)
+        starts = [*starts, *({number.name: _clip(number, n / unit)} for n in cycles)]
     if listed is not None:
         starts = [{p.name: listed.values[p.name] for p in effect.params if p.null is None}]
     seen: set[tuple[tuple[str, Any], ...]] = set()

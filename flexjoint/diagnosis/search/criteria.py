@@ -225,7 +225,7 @@ def _left_beside(trial: Fit, added: Planned) -> float:
     if not added.effect.ordinary:
         return left
     k = next(k for k, e in enumerate(trial.effects) if e is added)
-    changed = torque_shares(problem, trial.effects, k) > 0.0
+    changed = changed_balances(problem, trial.effects, k)
     rows = np.sum(problem.rest_by_row(trial.y) ** 2, axis=1)
     return left * float(np.sum(rows[changed])) / max(float(np.sum(rows)), 1e-300)
 
@@ -437,12 +437,13 @@ def material(trial: Fit, added: Planned, gained: float) -> bool:
     limits = trial.settings.search
     if tolerated(trial.problem, added):
         return False
-    shares = torque_shares(trial.problem, trial.effects, trial.effects.index(added))
+    place = trial.effects.index(added)
+    shares = torque_shares(trial.problem, trial.effects, place)
     tolerance = trial.problem.robot.tolerance.torque
     uncertain = gained < (limits.certain if added.since is None else limits.certain_dated)
     if np.max(shares) >= tolerance or np.max(shares) < limits.negligible * tolerance or uncertain:
         return bool(np.max(shares) >= tolerance)
-    touched = shares > 0.0
+    touched = changed_balances(trial.problem, trial.effects, place)
     left = at_own_level(trial).problem.level.inflation[touched]
     if np.all(left < trial.settings.regression.noise_decides):
         return True
@@ -500,3 +501,15 @@ def torque_shares(problem: Problem, effects: Sequence[Planned], index: int) -> n
             torque = balances.time_series(spectrum)[used]
             shares[r] = np.sqrt(np.mean(torque**2)) / problem.torque_scale[row.joint]
     return shares
+
+
+def changed_balances(problem: Problem, effects: Sequence[Planned], index: int) -> np.ndarray:
+    """(rows,) bool: the balances that an effect changes, and the whitened one that it changes most. A balance
+    is white beside those before it (`Whitening.matrix`), so that an effect may show in another one than it
+    acts in: a drag of a link in its spring's torque, a friction of a motor in the load of its link."""
+    changed = torque_shares(problem, effects, index) > 0.0
+    if np.any(changed):
+        others = [e for k, e in enumerate(effects) if k != index]
+        mark = problem.moved(others, effects).reshape(len(changed), -1)
+        changed[np.argmax(np.sum(mark**2, axis=1))] = True
+    return changed

@@ -18,6 +18,7 @@ from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
     SAME_LEVEL,
     at_own_level,
+    changed_balances,
     degenerate,
     needs_implausible,
     only_by_implausible,
@@ -134,10 +135,10 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
 
 
 def _marked(trial: Fit, last: int) -> np.ndarray:
-    """(rows,) bool: the balances that the last few effects of a set change."""
+    """(rows,) bool: the balances that the last few effects of a set change (`changed_balances`)."""
     count = len(trial.effects)
-    shares = [torque_shares(trial.problem, trial.effects, k) for k in range(count - last, count)]
-    return np.any(np.array(shares) > 0.0, axis=0)
+    changed = [changed_balances(trial.problem, trial.effects, k) for k in range(count - last, count)]
+    return np.any(changed, axis=0)
 
 
 def _cleared(best: Fit, levels: np.ndarray, marked: np.ndarray) -> float:
@@ -293,7 +294,8 @@ def sought_again(result: Fit, effect: Planned, pool: WorkerPool) -> Fit:
     """The set with an effect fitted again from all its start values, if a shape parameter of it has left the
     range of these (a creep so slow that it acts as a spring): far outside, the energy is flat and no fit
     leads back. The set itself, if that does not lower the energy."""
-    lengths = [p.name for p in effect.effect.params if p.null is None and p.low > 0.0]
+    scales = [p.name for p in effect.effect.params if p.null is None and p.low > 0.0]
+    lengths = [name for name in scales if name != effect.effect.repeats]  # whose starts what is left gives
     starts = result.problem.starts(effect.effect, effect.joint)
     looked = {name: [start[name] for start in starts if name in start] for name in lengths}
     astray = result.settings.search.astray

@@ -17,7 +17,7 @@ import numpy as np
 
 from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.result import Estimation, Finding, Gain, Remaining, Removed
-from flexjoint.diagnosis.search.criteria import torque_shares
+from flexjoint.diagnosis.search.criteria import changed_balances, torque_shares
 from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.verdict.unseen.torques import background
 from flexjoint.effects import Planned
@@ -30,22 +30,13 @@ def left_by(best: Fit, k: int) -> tuple[float, float]:
     """The largest variance, in that of the noise, that is left in the balances that effect k of a set changes
     (before or after whitening), and its share of what is left without this effect; correlated samples count
     as the few independent ones that they are."""
-    touched = torque_shares(best.problem, best.effects, k) > 0.0
+    touched = changed_balances(best.problem, best.effects, k)
     if not np.any(touched):
         return 1.0, 1.0
-    touched[_most_telling(best, k)] = True
     variances = best.problem.variances(best.y)
     row = int(np.argmax(np.where(touched, variances, 0.0)))
     without = best.problem.variances(refit_without(best, best.effects[k]).y)
     return float(variances[row]), float(min(1.0, variances[row] / without[row]))
-
-
-def _most_telling(best: Fit, k: int) -> int:
-    """The whitened balance that effect k of a set changes most: a friction of a motor may be hidden by the
-    noise of its spring's torque, and be known only from the load of its link."""
-    others = [e for i, e in enumerate(best.effects) if i != k]
-    mark = best.problem.moved(others, best.effects).reshape(len(best.problem.level.inflation), -1)
-    return int(np.argmax(np.sum(mark**2, axis=1)))
 
 
 def reliability(best: Fit, left: float, share: float, k: int = 0) -> float:

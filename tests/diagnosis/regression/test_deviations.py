@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planting import Planted
+from planting import FULL, Planted, plant, robot_file
 from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.regression.deviations import converged_deviations, deviation_effects
+from flexjoint.diagnosis.regression.deviations import _energy_at, converged_deviations, deviation_effects
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.effects import effect
+from flexjoint.robot.robot import load
 
 HEAVIER = Planted("motor_inertia", "elbow", {"scale": 2.0})
 STICKS = Planted("motor_coulomb_friction", "shoulder", {"level": 12.0})  # with it numbers are relinearised
@@ -54,3 +55,17 @@ def test_converged_deviations_explain_no_less_than_none(problem: Problem) -> Non
 
     assert energy(numbers) <= energy(np.zeros(len(problem.nuisance)))
     assert np.max(np.abs(numbers)) < 4.0
+
+
+def test_any_set_is_judged_beside_the_noise_that_likely_numbers_make() -> None:
+    """A stiffness 5 % off makes more noise in the spring's balance. Where only sets with an effect that
+    changes noise were judged beside it, a sensor's gain won over the offset that was there."""
+    name, offset = "drawn_6023_loose", {"offset": 1.85}
+    planted = [Planted("torque_offset", "joint_0", offset)]
+    made = plant(robot_file(name), planted, "steps", 12.0, 5, FULL, rate=500.0, inexact=0.05)
+    bare = fit(Problem(balances_of(load(robot_file(name)), as_recording(made))), [])
+    found = at_own_level(fit(bare.problem, [effect("torque_offset", "joint_0", **offset)]))
+    numbers = found.problem.deviations(found.y)
+    in_full = _energy_at(found.problem, numbers, found.effects)
+    assert found.energy == pytest.approx(in_full, abs=1.0)
+    assert abs(found.energy - found.problem.energy(found.y)) > 50.0  # beyond any price

@@ -270,16 +270,21 @@ def removed(data: Unseen, k: int) -> Removed:
 
 
 def _held(view: View, there: np.ndarray, left: np.ndarray) -> tuple[float | None, float | None]:
-    """`Removed.held` and its standard error, from errors that are alike within blocks (Liang and Zeger 1986),
-    of residuals (N,) without the cause and with it."""
+    """`Removed.held` and its standard error, of residuals (N,) without the cause and with it: from errors
+    that are alike within blocks (Liang and Zeger 1986), and from their size. None where that error is above
+    1, as the cause hardly acts on unseen data: an end stop may be met only in a block that the fit saw."""
     times = view.problem.balances.chains.t[view.problem.readings.valid][view.away]
     error, own = there[view.away], (there - left)[view.away]
     power = float(own @ own)
     if power <= 0.0:
         return None, None
     held = float(own @ error) / power
-    scores = np.bincount((times / BLOCK).astype(int), own * (error - held * own))
-    return held, float(np.linalg.norm(scores)) / power
+    beside = error - held * own
+    scores = np.bincount((times / BLOCK).astype(int), own * beside)
+    independent = float(np.mean(view.problem.balances.filter.gain**2))  # share of the samples
+    by_size = np.sqrt(np.mean(beside**2) / (power * independent))
+    std = float(np.hypot(np.linalg.norm(scores) / power, by_size))
+    return (held, std) if std < 1.0 else (None, None)
 
 
 def _of_a_joint(

@@ -60,3 +60,12 @@ def test_of_a_law_that_is_not_there_little_is_held() -> None:
     found = of(other)
     assert found.held < 0.2
     assert found.left > found.without
+
+
+def test_a_cause_that_hardly_acts_on_unseen_data_is_not_held_against_them() -> None:
+    """An end stop at the end of the range, which this motion touches once."""
+    case = problem()
+    q = case.readings.theta[0]
+    stop = Planned.of("end_stop", "yaw", {"position": float(q.max()) - 1e-4, "stiffness": 50.0})
+    view = torques._uncorrected(case, [rubbing(LEVEL), stop], True)
+    assert torques.removed(torques.in_views(view, [rubbing(LEVEL), stop]), 1).held is None
