@@ -237,10 +237,10 @@ def _energy_at(problem: Problem, deviations: np.ndarray, effects: Sequence[Plann
     """Energy of some effects where the nominal numbers are off by these deviations."""
     there = problem.with_nominal([*effects, *deviation_effects(problem, deviations)])
     scale = np.array([problem.torque_scale[r.joint] for r in problem.balances.rows])
-    there_white = whitening.make(problem.balances, scale, there, like=problem.whitening)
     balances = problem.balances
-    # what shapes the noise in other ways than this whitening knows is evaluated without it
+    # what shapes the noise in other ways than by what enters a whitening is evaluated without it
     known = [e for e in there if whitening.changes_noise(e) or not whitening.shapes_noise(e, balances)]
+    there_white = whitening.make(balances, scale, known, like=problem.whitening)
     spectra = balances.residual(known)
     if len(known) < len(there):
         spectra = spectra + balances.denoised.change(known, there)

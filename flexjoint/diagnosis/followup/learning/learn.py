@@ -106,11 +106,15 @@ def learn(
         note = f"no law was learned: that takes {evidence.too_short:g} s of motion in each recording"
         return replace(diagnosis, learned=Learned(notes=(note,)))
     found, notes = _learned(evidence, joints, budget, progress)
-    kept, simulation = held(evidence, [one.verdict for one in found])
+    try:
+        with within(budget):
+            kept, simulation = held(evidence, [one.verdict for one in found])
+        dropped = "the simulation was not surely better with it"
+    except OutOfTimeError:
+        kept, simulation = [], None
+        dropped = "the time allowed was over before the simulation could confirm it"
     notes += tuple(
-        f"a law of {one.choice.shape.law} was dropped: the simulation was not surely better with it"
-        for one in found
-        if one.verdict not in kept
+        f"a law of {one.choice.shape.law} was dropped: {dropped}" for one in found if one.verdict not in kept
     )
     laws = _stated(evidence, [one for one in found if one.verdict in kept])
     return replace(diagnosis, learned=Learned(laws, simulation, notes))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexjoint.core.errors import FlexJointError
+from flexjoint.core.running.budget import OutOfTimeError, checkpoint
 from flexjoint.diagnosis.comparison.compare import HORIZON, Comparison, compared
 from flexjoint.diagnosis.followup.learning.evidence import Evidence
 from flexjoint.diagnosis.followup.learning.judge import Verdict, gained
@@ -33,7 +34,8 @@ class Simulated:
 def simulated(evidence: Evidence, kept: Sequence[Verdict]) -> Simulated:
     """All stretches, each simulated with the causes and the laws of the others.
 
-    Raises FlexJointError where a recording cannot drive a simulation, or one diverges."""
+    Raises FlexJointError where a recording cannot drive a simulation, or one diverges; OutOfTimeError between
+    two stretches where the time allowed is over."""
     runs, squares = [], []
     for k, problem in enumerate(evidence.problems):
         recording = problem.readings.recording
@@ -41,6 +43,7 @@ def simulated(evidence: Evidence, kept: Sequence[Verdict]) -> Simulated:
         whole: dict[tuple[str, str], np.ndarray] = {}
         one: Comparison | None = None
         for part in [part for part in evidence.parts if part.recording == k]:
+            checkpoint()
             laws = [law for verdict in kept if (law := dict(verdict.laws)[part]) is not None]
             model = FlexibleJointModel(evidence.robots[k].extended([*evidence.causes, *laws]))
             rows = part.holds(time)
@@ -77,11 +80,15 @@ def _by_block(
 
 def held(evidence: Evidence, found: Sequence[Verdict]) -> tuple[list[Verdict], Gain | None]:
     """The laws with which the simulation is better on stretches that they did not see, and how it is without
-    them and with them; None without laws, or where nothing can be simulated."""
+    them and with them; None without laws, or where nothing can be simulated.
+
+    Raises OutOfTimeError where the time allowed is over."""
     if not found:
         return [], None
     try:
         before = simulated(evidence, [])
+    except OutOfTimeError:
+        raise
     except FlexJointError:  # it lacks what a simulation needs
         return list(found), None
     kept = list(found)
@@ -89,6 +96,8 @@ def held(evidence: Evidence, found: Sequence[Verdict]) -> tuple[list[Verdict], G
         try:
             after = simulated(evidence, kept)
             worst = _worst(evidence, before, after, kept)
+        except OutOfTimeError:
+            raise
         except FlexJointError:  # it diverges
             worst = kept[-1]
         if worst is None:

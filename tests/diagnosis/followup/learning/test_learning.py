@@ -5,6 +5,7 @@ import json
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from support.thorough import thorough
 
 import flexjoint as fj
 from flexjoint.core.errors import FlexJointError, RecordingError, UnknownNameError
+from flexjoint.core.running.budget import Budget
 from flexjoint.diagnosis.followup.learning.advice import LOOK
 from flexjoint.diagnosis.followup.learning.judge import gained
+from flexjoint.diagnosis.followup.learning.simulation import held
 from flexjoint.diagnosis.followup.learning.splines import penalty
 from flexjoint.diagnosis.result import Diagnosis, to_json
 from flexjoint.diagnosis.result.known import known_of
@@ -244,6 +247,21 @@ def test_a_law_with_which_the_simulation_is_not_surely_better_is_dropped() -> No
     settings = replace(USUAL, learn=replace(USUAL.learn, sure_simulation=1e6))
     result = fj.learn(robot, recording, found, settings=settings).learned
     assert result is not None and result.laws == () and "not surely better" in result.notes[0]
+
+
+def test_a_law_that_no_time_is_left_to_simulate_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, recording, found, _ = learned(HOSE)
+    clock = [0.0]
+    budget = Budget(1000.0, clock=lambda: clock[0])
+
+    def late(*arguments: Any) -> Any:
+        clock[0] = 1001.0
+        return held(*arguments)
+
+    monkeypatch.setattr("flexjoint.diagnosis.followup.learning.learn.held", late)
+    result = fj.learn(robot, recording, found, budget=budget).learned
+    assert result is not None and result.laws == () and result.simulation is None
+    assert "before the simulation could confirm it" in result.notes[0]
 
 
 def test_a_gain_counts_in_its_standard_errors_over_blocks() -> None:
