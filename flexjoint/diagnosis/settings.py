@@ -257,6 +257,13 @@ class BalanceSettings(Stage):
         "study: dry frictions of 18 drawn machines leave 1.24 times the noise (geometric mean), 1.49 times"
         " where one such speed holds for all of a recording",
     )
+    play_deviations: float = number(
+        0.5,
+        "deviations of a denoised position",
+        "by which it may go to and fro without any way for a state of friction, creep or hysteresis",
+        "study: of 19 drawn machines with such a state, what the right law leaves fell at six (2.35 to 0.96"
+        " of the noise, 1.70 to 0.52, 6.6 to 4.1, ...), and rose at one (1.00 to 1.06); with 2 at eight",
+    )
     speed_deviations: float = number(
         4.0,
         "standard deviations",

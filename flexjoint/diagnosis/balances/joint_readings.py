@@ -148,6 +148,18 @@ class JointReadings:
         return Signals(**noise, **rates)
 
     @cached_property
+    def position_errors(self) -> dict[str, np.ndarray]:
+        """(N,) [rad] what a Wiener filter, which takes out what it can, leaves of the noise in q, theta and
+        phi, by name."""
+        q, theta = (float(self._readings.noise[name][self._joint]) for name in ("q", "theta"))
+        angles = {
+            "q": (self.q, q),
+            "theta": (self.theta, theta),
+            "phi": (self.phi, float(np.hypot(q, theta))),
+        }
+        return {name: Wiener.of(x, noise).error() for name, (x, noise) in angles.items()}
+
+    @cached_property
     def speed_errors(self) -> dict[str, np.ndarray]:
         """(N,) [rad/s] what is left of the noise in dq and dtheta, by name, where a Wiener filter has taken
         out what it can. An angle without a sensor is made of the other one."""

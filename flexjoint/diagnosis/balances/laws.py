@@ -16,7 +16,7 @@ from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.dry_friction import DryFriction, Speed
 from flexjoint.diagnosis.balances.joint_readings import JointReadings
 from flexjoint.diagnosis.balances.motion import Motion
-from flexjoint.diagnosis.balances.states import state_along
+from flexjoint.diagnosis.balances.states import play, state_along
 from flexjoint.diagnosis.balances.ties import Ties
 from flexjoint.diagnosis.signals.signals import later, reach_of_ends
 from flexjoint.effects import Drive, Planned, Signals, Site, signal_order
@@ -278,11 +278,18 @@ class Laws:
 
     def _without_noise(self, e: Planned, signals: Signals) -> Signals:
         """A copy of the signals of an effect's joint without their sensors' noise: a state's law takes the
-        magnitude of a speed, and a mean of noise does not vanish there."""
-        if not self.has_twin or e.joint is None:
+        magnitude of a speed, and a mean of noise does not vanish there. What a Wiener filter leaves of the
+        noise still makes way without end: rates are those behind a play as wide."""
+        if e.joint is None:
             return replace(signals)
-        noise = self.base(self.motion.robot.joint_names.index(e.joint)).noise
-        less = {name: getattr(signals, name) - getattr(noise, name) for name in DRIVING}
+        base = self.base(self.motion.robot.joint_names.index(e.joint))
+        less = {name: getattr(signals, name) for name in DRIVING}
+        if self.has_twin:
+            less = {name: x - getattr(base.noise, name) for name, x in less.items()}
+        for name, error in base.position_errors.items():
+            width = self.motion.readings.settings.balances.play_deviations * error
+            if np.any(width > 0.0):
+                less[f"d{name}"] = np.gradient(play(less[name], width), self.period)
         return replace(signals, **less)
 
     def since(self, e: Planned, with_effect: np.ndarray, without: np.ndarray) -> np.ndarray:

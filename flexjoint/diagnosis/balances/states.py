@@ -60,3 +60,27 @@ def stepped(first: float, keep: np.ndarray, add: np.ndarray) -> np.ndarray:
 def _mean_of_ends(x: np.ndarray) -> np.ndarray:
     """(N,) mean of each sample and its next, from (N,)."""
     return np.append(0.5 * (x[:-1] + x[1:]), x[-1:])
+
+
+def play(x: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """(N,) a position x behind a play of `width` (N,) to either side (Prandtl 1928): it stands while x goes
+    to and fro by less. A state that adds up the way of a body would add up that of its sensor's noise, too,
+    which has no end.
+
+    Each sample clips what was before to its own bounds; clips after each other are one clip, so that blocks
+    are taken side by side, as in `stepped`."""
+    length = int(np.ceil(np.sqrt(x.size)))
+    beyond = -x.size % length
+    low, high = (
+        np.append(end, np.full(beyond, end[-1])).reshape(-1, length).T for end in (x - width, x + width)
+    )
+    lows, highs = np.empty_like(low), np.empty_like(high)
+    lows[0], highs[0] = low[0], high[0]
+    for row in range(1, length):
+        lows[row] = np.clip(lows[row - 1], low[row], high[row])
+        highs[row] = np.clip(highs[row - 1], low[row], high[row])
+    here, begins = float(x[0]), []
+    for least, most in zip(lows[-1].tolist(), highs[-1].tolist(), strict=True):
+        begins.append(here)
+        here = min(max(here, least), most)
+    return np.asarray(np.clip(np.array(begins), lows, highs).T.ravel()[: x.size])

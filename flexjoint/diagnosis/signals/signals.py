@@ -299,12 +299,19 @@ class Wiener:
         kept = self.transform.istft(self.spectra * self.share, k1=self.line.size)
         return np.asarray((kept + self.line)[self.reach : self.reach + self.count])
 
+    def error(self) -> np.ndarray:
+        """(N,) standard deviation of the signal's error."""
+        return self._deviation(np.mean(self.share, axis=0))
+
     def speed_error(self, window: Filter) -> np.ndarray:
         """(N,) standard deviation of the error of the signal's filtered rate of change. A Wiener filter's
         error has the noise's power times the share that is kept."""
         omega = 2.0 * np.pi * self.transform.f / window.period
         rate = omega * np.interp(omega, window.omega, window.gain)
-        variance = np.mean(self.share * (rate**2)[:, None], axis=0)
+        return self._deviation(np.mean(self.share * (rate**2)[:, None], axis=0))
+
+    def _deviation(self, variance: np.ndarray) -> np.ndarray:
+        """(N,) from the variance in each frame, per that of the noise."""
         times = self.transform.t(self.line.size) - self.reach
         return np.asarray(self.noise * np.sqrt(np.interp(np.arange(self.count), times, variance)))
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from flexjoint.core.ops import Value
-from flexjoint.diagnosis.balances.states import state_along, stepped
+from flexjoint.diagnosis.balances.states import play, state_along, stepped
 from flexjoint.effects import Planned, Signals, catalogue
 
 PERIOD = 1e-3
@@ -63,3 +63,24 @@ def test_a_recursion_in_blocks_is_that_step_by_step(count: int) -> None:
         z.append(k * z[-1] + a)
     # rounding of a thousand steps that keep what they have
     np.testing.assert_allclose(stepped(0.7, keep, add), z, rtol=0.0, atol=1e-12 * max(1.0, np.max(np.abs(z))))
+
+
+@pytest.mark.parametrize("count", [1, 2, 16, 17, 1000])
+def test_a_play_in_blocks_is_that_step_by_step(count: int) -> None:
+    rng = np.random.default_rng(count)
+    x, width = np.cumsum(rng.normal(size=count)), rng.uniform(0.0, 3.0, count)
+    here, there = x[0], []
+    for place, half in zip(x, width, strict=True):
+        here = min(max(here, place - half), place + half)
+        there.append(here)
+    np.testing.assert_array_equal(play(x, width), there)
+
+
+def test_noise_within_a_play_makes_no_way() -> None:
+    t = np.arange(0.0, 4.0, PERIOD)
+    noise = 1e-5 * np.random.default_rng(1).uniform(-1.0, 1.0, t.size)
+    turns = np.where(t < 1.0, 0.2 * t, 0.2)  # and stands
+    behind = play(turns + noise, np.full(t.size, 2e-5))
+    assert np.sum(np.abs(np.diff(turns + noise))) > 0.2 + 0.01
+    assert np.sum(np.abs(np.diff(behind))) == pytest.approx(0.2, abs=1e-4)
+    np.testing.assert_array_equal(play(turns, 0.0 * t), turns)
