@@ -175,6 +175,7 @@ def test_an_interrupt_ends_a_fleet(tmp_path: Path, later: float) -> None:
     assert not list(tmp_path.rglob(".*"))
 
 
+@thorough
 @pytest.mark.parametrize(
     "words",
     ["plan --robot kr300 --out plan.csv --quiet", "demo --out shown", "benchmark make machines --count 3"],

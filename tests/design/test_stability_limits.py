@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from control.pzmap import PoleZeroData
 from support.robots.arms import PENDULUM, PLANAR, make
+from support.thorough import thorough
 
 from flexjoint.core.errors import ModelError, UnknownNameError
 from flexjoint.design.feedback import Gains, close_loop
@@ -45,6 +46,7 @@ def test_longest_period_of_a_rigid_joint(kp: float, kd: float) -> None:
     assert longest_period(linear, Gains.motor_pd(rigid, np.array([-1.0]), np.array([kd]))) == 0.0
 
 
+@thorough
 def test_a_late_command_of_a_damper_may_tick_more_slowly() -> None:
     """v+ = v - a ((T - d) v + d v before): -1 is a root at T = 2 / a + 2 d."""
     rigid = make(PENDULUM, {"joint": {"stiffness": math.inf, "motor_damping": 0.0}}, **WEIGHTLESS)

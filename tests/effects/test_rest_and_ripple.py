@@ -83,6 +83,7 @@ def test_without_it_nothing_is_named() -> None:
     assert found.verdict == "healthy" and not found.findings, summary(found)
 
 
+@thorough
 @pytest.mark.parametrize("channel", sample(["theta", "q"], one_in=2))
 def test_an_encoder_that_ripples_is_named_and_measured(channel: str) -> None:
     """The ripple is added to a planted recording's own column: as an encoder adds it to what is there."""

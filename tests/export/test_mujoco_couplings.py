@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from support.robots.arms import waves
 from support.robots.coupled_robots import DIFFERENTIAL, THROUGH, Matrix, coupled
+from support.thorough import thorough
 
 from flexjoint.core.errors import RobotError
 from flexjoint.effects import Planned, catalogue, effect
@@ -93,6 +94,7 @@ def test_shared_motors_move_as_ours_do(matrix: Matrix, rigid: bool) -> None:
     assert coarse < SHARE * rms(truth - truth[:1]) and short < max(SHRINKS * coarse, FLOOR)
 
 
+@thorough
 @KINDS
 @pytest.mark.parametrize("effects", EFFECTS[1:], ids=lambda effects: effects[0].effect.name)
 def test_effects_on_a_shared_motor(effects: tuple[Planned, ...], rigid: bool) -> None:

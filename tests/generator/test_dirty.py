@@ -23,6 +23,7 @@ from planting.shares import Torques
 from planting.simulate import plant
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 from scipy.signal import lfilter, lsim
+from support.thorough import thorough
 
 RIGID_LEVER = robot_file("dirty_lever_rigid_5")
 RIGID_CRANE = robot_file("dirty_crane_rigid_5")
@@ -35,6 +36,7 @@ def recorded(kind, number):
 
 
 # --- machines ---------------------------------------------------------------------------------------------
+@thorough
 def test_a_machine_follows_from_its_kind_and_number():
     again, first = dirty.__wrapped__("unknown", 7), dirty("unknown", 7)
     assert again == first != dirty("causes", 3)

@@ -9,6 +9,7 @@ import pytest
 from planting import FULL, NO_COMMAND, ROBOTS, Planted, SensorSet, plant, robot_file
 from study.cases import make
 from support.diagnose_cases import SENSORS, Case, as_recording, nominal
+from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit, shifts
@@ -41,6 +42,7 @@ def test_a_friction_leaves_the_noise_whether_it_is_small_or_large(level: float) 
     assert left < 1.2 * problem.noise_energy  # 1.07 and 1.12
 
 
+@thorough
 def test_deviations_are_taken_together_with_their_products() -> None:
     """With encoder offsets of 0.02 rad a spring 2 % off pulls by K times both: beyond first order."""
     known = nominal("gimbal")
@@ -61,6 +63,7 @@ def test_deviations_are_taken_together_with_their_products() -> None:
 UNSEEN_NOISE = replace(NO_COMMAND, noisy_feedback=False)  # what is recorded is not what the controller read
 
 
+@thorough
 @pytest.mark.parametrize(
     ("sensors", "rate"), [(FULL, 250.0), (FULL, 500.0), (UNSEEN_NOISE, 500.0), (UNSEEN_NOISE, 1000.0)]
 )
@@ -73,6 +76,7 @@ def test_a_torque_that_is_known_with_noise_is_no_error_of_the_model(sensors: Sen
     assert problem.energy(problem.residual([])) < 1.1 * problem.noise_energy
 
 
+@thorough
 def test_a_limit_that_clips_a_noisy_torque_explains_nothing() -> None:
     """A torque measured with noise has its largest values where noise was added: a limit takes that away."""
     sensors = replace(FULL, channels=("q", "theta", "tau_t", "tau_motor", "q_ref"))
@@ -151,6 +155,7 @@ def test_a_torque_made_of_a_noisy_angle_is_off_with_that_angle(name: str) -> Non
     assert np.mean(shares) < 1.3  # 1.08 and 1.14
 
 
+@thorough
 @pytest.mark.parametrize(("number", "most"), [(7, 10.0), (61, 25.0)])
 def test_a_motor_that_friction_holds_is_held_against_what_its_torque_sensor_says(
     number: int, most: float

@@ -71,7 +71,9 @@ def early() -> np.ndarray:
             "steps back in 9 rows (the first is row 2001): 10 pieces are put one after the other",
             marks=thorough,
         ),
-        (doubled, "50 rows left out whose time stamp is early, late or that of a neighbour"),
+        pytest.param(
+            doubled, "50 rows left out whose time stamp is early, late or that of a neighbour", marks=thorough
+        ),
         pytest.param(early, "1 row left out whose time stamp is early", marks=thorough),
         pytest.param(paused, "shortened to 1 s each", marks=thorough),
     ],

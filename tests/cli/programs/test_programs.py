@@ -140,6 +140,7 @@ def undescribed(value: Any, described: dict[str, Any], where: str = "") -> list[
     return out
 
 
+@thorough
 @pytest.mark.parametrize("name", names())
 def test_what_is_written_keeps_to_its_schema(name: str, written: Written) -> None:
     jsonschema = pytest.importorskip("jsonschema")

@@ -13,6 +13,7 @@ from planting.sizes import usual_effect
 from support.diagnose_cases import Case, as_recording, nominal
 from support.robots.arms import SPATIAL, make
 from support.robots.coupled_robots import DIFFERENTIAL, SHARED, THROUGH, Matrix, coupled, swinging
+from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import TwinBalances, acts_within_a_joint, balances_of
 from flexjoint.diagnosis.regression.problem import Problem
@@ -196,6 +197,7 @@ START = (5.0, 5.0, 5.0, 2.0, 2.0, 0.5, 5.0, 5.0, 2.0, 1.0, 1.0, 0.5)
 YARDSTICK = np.array([4.0, 3.9, 1.35, 0.65, 1.06, 0.72])  # N m, an engineer's hand fit with the shared motor
 
 
+@thorough
 def test_the_tx40_comes_down_with_friction_that_joints_5_and_6_share() -> None:
     """Measured: 3.71, 2.41, 1.02, 0.46, 0.86, 0.57 N m with the shared friction as an effect; 3.71, 2.41,
     1.02, 0.46, 0.79, 0.46 with the coupling stated; joints 5 and 6 5.5 and 2.0 with neither."""

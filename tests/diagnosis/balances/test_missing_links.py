@@ -190,6 +190,7 @@ def test_a_link_without_encoder_moves_as_it_does(robot: str) -> None:
     assert np.mean(errors[1]) < 0.75 * np.mean(errors[0]), errors
 
 
+@thorough
 @pytest.mark.parametrize("inexact", [0.0, 0.05])
 @pytest.mark.parametrize("robot", ["lever", "crane"])
 def test_a_link_may_swing_at_the_start(robot: str, inexact: float) -> None:

@@ -15,6 +15,7 @@ import yaml
 from planting import ROBOTS, Planted, plant
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording
+from support.thorough import thorough
 
 from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
@@ -115,6 +116,7 @@ def test_the_derivative_by_a_load_is_that_of_the_whole_residual(name: str, compo
     assert np.linalg.norm(free - whole) > 2.0 * np.linalg.norm(by_load - whole)
 
 
+@thorough
 @pytest.mark.parametrize(
     "added, number",
     [
@@ -275,6 +277,7 @@ def test_what_acts_within_joints_enters_on_all_of_them_at_once() -> None:
     assert {("motor_coulomb_friction", joint) for joint in FRICTION} <= {e.key for e in common.effects}
 
 
+@thorough
 def test_a_load_that_hides_friction_is_found_first() -> None:
     """Beside 20 times the load, friction takes little of the error of any joint, and most beside the load."""
     here = made(

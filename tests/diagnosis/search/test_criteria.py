@@ -89,6 +89,7 @@ def test_a_cause_that_makes_another_balance_wrong_is_none() -> None:
     assert not contradicted(right, nothing)
 
 
+@thorough
 def test_next_to_nothing_of_a_sample_beside_a_lag_is_no_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a noisy command does between two samples is not recorded: a delay of a 27th of a sample makes that
     smaller by far more than its price, where there is a lag of two samples only."""
@@ -395,6 +396,7 @@ def test_the_methods_error_of_a_cause_is_in_the_balances_that_it_marks() -> None
     }
 
 
+@thorough
 def test_where_hardly_anything_counts_a_wrong_number_is_not_the_end() -> None:
     """At the level that the nominal model leaves, a wrist's friction of 0.60 N m settles at 0.57, though that
     leaves more."""

@@ -118,6 +118,7 @@ def test_what_two_joints_are_late_by_may_be_common_to_all() -> None:
     assert added.values["delay"] == pytest.approx(LATE, abs=2e-4)
 
 
+@thorough
 def test_a_joint_that_is_not_late_stays_so() -> None:
     late = [Planted("sensor_delay", joint, {"delay": 0.003, "channel": "q"}) for joint in ("pan", "tilt")]
     recorded = Case("gimbal", "rich", 5).with_causes(*late)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
+from support.thorough import thorough
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.signals import excerpt
@@ -136,6 +137,7 @@ def test_samples_are_the_recording_s_own(count: int, rate: float, most: int, los
         np.testing.assert_array_equal(recording.columns[key][rows], values)
 
 
+@thorough
 def test_a_cause_is_found_in_the_excerpt(monkeypatch: pytest.MonkeyPatch) -> None:
     recorded = as_recording(
         Case("lever", "rich", 5).with_causes(Planted("motor_coulomb_friction", SWING, {"level": 1.5}))

@@ -121,7 +121,8 @@ def test_each_recording_has_its_own_jumps() -> None:
 
 
 @pytest.mark.parametrize(
-    "number", [pytest.param(20, id="measured"), pytest.param(132, id="commanded", marks=thorough)]
+    "number",
+    [pytest.param(20, id="measured", marks=thorough), pytest.param(132, id="commanded", marks=thorough)],
 )
 def test_a_healthy_machine_at_its_torque_limits_is_healthy(number: int) -> None:
     nominal, recording = measured(number)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.diagnose_cases import Case, as_recording, nominal
+from support.thorough import thorough
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.signals.signals import prepare
@@ -83,6 +84,7 @@ def test_a_gap_in_the_torques_is_no_brake() -> None:
     assert held_by_brakes(nominal("turret"), gap) == []
 
 
+@thorough
 def test_a_healthy_robot_with_its_brakes_on_at_first_is_healthy() -> None:
     """As a friction of 7 N m at rest it had been named, at more than 99 %, of an arm of six joints."""
     found = diagnose(nominal("gimbal"), [braked(recorded("gimbal", "steps"), 3.0)])

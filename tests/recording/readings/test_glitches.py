@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.diagnose_cases import Case, as_recording, nominal
+from support.thorough import thorough
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.recording import table
@@ -67,6 +68,7 @@ def test_a_robot_that_mostly_stands_has_no_failing_readings() -> None:
     assert without_glitches(nominal("turret"), stands) is stands
 
 
+@thorough
 def test_a_healthy_robot_of_which_some_readings_failed_is_healthy() -> None:
     """Three zeros among 2400 angles of an arm had left 98 % of a joint's torque unexplained."""
     recording = failing(recorded("gimbal", "steps"), "theta", "tilt", [900, 2000, 3100], 3.0)

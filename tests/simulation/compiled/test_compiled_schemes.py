@@ -54,7 +54,7 @@ def test_every_scheme_agrees_with_all_effects_at_once(scheme: str) -> None:
     loops_agree(robot, every_effect(), 1000.0, scheme, WIDTH, atol=1e-8)
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", sample(SCHEMES, one_in=3))
 def test_every_scheme_agrees_on_a_floating_base_with_a_rigid_joint(scheme: str) -> None:
     """Rubbing links, a motor that sticks, the two laws that are left."""
     laws = {**controlled_by(("motor_pd", "link_pd", "velocity")), "yaw": {"stiffness": math.inf}}

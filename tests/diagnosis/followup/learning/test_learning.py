@@ -215,6 +215,7 @@ def test_the_page_draws_it() -> None:
     assert "Laws without a name" not in report.render(learned(HOSE)[2], robot, recording)
 
 
+@thorough
 def test_it_refuses_what_it_cannot_use() -> None:
     robot, recording, found, _ = learned(HOSE)
     with pytest.raises(RecordingError, match="no recording given"):
