@@ -591,6 +591,16 @@ class SearchSettings(Stage):
     most_on_joint: int = number(4, "effects", "on one joint: a fifth one would not be believed", "judgement")
     most_exchanges: int = number(4, "exchanges", "so that two equals do not alternate for ever", "judgement")
     # --- which candidates are tried
+    ripples: int = number(
+        2, "ripples", "of a balance, the strongest, from which a periodic law is looked for", "judgement"
+    )
+    ripple_scales: tuple[float, ...] = number(
+        (0.1, 1.0),
+        "s",
+        "on which these are found: what a balance does on a longer one is no ripple, as a slow motion makes"
+        " slow ones",
+        "judgement",
+    )
     later: tuple[float, ...] = number(
         (0.0, 0.5, 0.75),
         "share of the recording",

@@ -10,10 +10,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
+from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Planned
 
-STRONGEST = 2  # ripples of a balance that are tried, on each scale
-SLOW = (0.1, 1.0)  # s, what a balance does on a longer scale is no ripple: a slow motion makes slow ones
 BINS = 1 << 14  # of the angle's range
 FINER = 4  # steps of the cycles within the width of a peak
 
@@ -31,7 +30,7 @@ def ripples(problem: Problem, joint: str, signal: str, base: Sequence[Planned]) 
     rows = [r for r, row in enumerate(problem.balances.rows) if row.joint == own]
     found: list[float] = []
     for left in _left(problem, base)[rows]:
-        found += _strongest(place, left, problem.time)
+        found += _strongest(place, left, problem.time, problem.settings.search)
     return tuple(dict.fromkeys(found))
 
 
@@ -40,7 +39,7 @@ def _left(problem: Problem, base: Sequence[Planned]) -> np.ndarray:
     these effects alone, and not on what else a search has tried."""
 
     def rest() -> np.ndarray:
-        here = problem.at(NoiseLevel.predicted(len(problem.balances.rows)))
+        here = problem.about(extra).at(NoiseLevel.predicted(len(problem.balances.rows)))
         return here.rest(here.residual(extra)) * here.weights
 
     listed = {e.identity for e in problem.nominal}
@@ -48,7 +47,9 @@ def _left(problem: Problem, base: Sequence[Planned]) -> np.ndarray:
     return problem.remembered("ripples", extra, rest).reshape(len(problem.balances.rows), -1)
 
 
-def _strongest(place: np.ndarray, left: np.ndarray, time: np.ndarray) -> Iterator[float]:
+def _strongest(
+    place: np.ndarray, left: np.ndarray, time: np.ndarray, settings: SearchSettings
+) -> Iterator[float]:
     """Cycles per unit of `place` (n,) of the strongest ripples of `left` (n,) at times (n,) [s]: only those
     that the motion covers at least twice, and samples at least thrice a period, can be told."""
     travel = float(np.ptp(place))
@@ -63,7 +64,7 @@ def _strongest(place: np.ndarray, left: np.ndarray, time: np.ndarray) -> Iterato
     most = min(2.0 * pi / (3.0 * period * speed), width * BINS / 16.0)
     visible = (cycles >= 2.0 * width) & (cycles <= most)
     found: list[float] = []
-    for scale in SLOW:
+    for scale in settings.ripple_scales:
         if place.size < 4.0 * scale / period:
             break
         fast = left - gaussian_filter1d(left, scale / period)
@@ -71,7 +72,7 @@ def _strongest(place: np.ndarray, left: np.ndarray, time: np.ndarray) -> Iterato
         power = np.where(visible, np.abs(np.fft.rfft(gathered, FINER * BINS)) ** 2, 0.0)
         for top in found:
             power[np.abs(cycles - top) < 2.0 * width] = 0.0
-        for _ in range(STRONGEST):
+        for _ in range(settings.ripples):
             if not np.max(power) > 0.0:
                 break
             top = float(cycles[np.argmax(power)])
