@@ -7,13 +7,14 @@ OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-all lowest fuzz study lint docs site bench pictures clean
+.PHONY: help demo test test-all lowest audit fuzz study lint docs site bench pictures clean
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
 	@echo "make test   make lint, and tests"
 	@echo "make test-all   these and the long tests, which diagnose a lot: half an hour or more; .ci/run runs them"
 	@echo "make lowest   tests of the core with the lowest versions that pyproject.toml allows; some twenty minutes"
+	@echo "make audit   known vulnerabilities of what is installed; pip-audit asks the package index"
 	@echo "make fuzz   hostile input to every reader and the main commands; an hour, EXAMPLES=300 for some minutes"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"
 	@echo "make lint   style, types and who imports whom"
@@ -45,6 +46,14 @@ lowest: | $(BIN)/python
 	    --editable '.[$(LOWEST_EXTRAS)]'
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python pytest hypothesis jsonschema
 	$(LOWEST)/bin/python -m pytest -m "not thorough" tests/effects tests/model tests/simulation tests/recording
+
+# in an environment of its own, so that only what flexjoint needs is asked for
+AUDIT := build/audit
+audit: .venv/.test
+	$(BIN)/python -m venv --clear $(AUDIT)
+	$(AUDIT)/bin/python -m pip install --quiet --disable-pip-version-check pip-audit
+	$(AUDIT)/bin/pip-audit --strict --skip-editable --progress-spinner off \
+	    --path "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
 
 # new inputs each time, EXAMPLES of them for each test; what breaks goes into tests/fuzz/corpus
 EXAMPLES ?= 3000
