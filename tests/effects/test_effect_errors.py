@@ -12,8 +12,11 @@ from scipy.optimize import least_squares
 
 import flexjoint.effects
 from flexjoint.core.errors import FlexJointError, ModelError, UnknownNameError
+from flexjoint.diagnosis.search.ripples import strongest
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import SENSOR_CHANNELS, Effect, Planned, Signals, Site, catalogue, find
 from flexjoint.effects import effect as make_effect
+from flexjoint.effects._starts import PHASES
 
 EFFECTS = list(catalogue().values())
 every_effect = pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
@@ -236,7 +239,16 @@ def test_gaps_are_looked_for_up_to_where_a_load_closes_them() -> None:
 
 
 def test_every_effect_with_starts_is_planted() -> None:
-    assert set(PLANTED) == {e.name for e in EFFECTS if e.overrides("starts")}
+    assert set(PLANTED) == {e.name for e in EFFECTS if e.overrides("starts") or e.repeats}
+
+
+def periodic(effect: Effect, s: Signals, left: np.ndarray) -> list[dict[str, float]]:
+    """Where the search starts that for a law that repeats, from what is left (N,)."""
+    if not effect.repeats:
+        return []
+    unit = 2 * np.pi if effect.against == "t" else 1.0  # Hz
+    cycles = strongest(getattr(s, effect.against), left, s.t, USUAL.search)
+    return [{effect.repeats: n / unit, "phase": phase} for n in cycles for phase in PHASES]
 
 
 @pytest.mark.parametrize(
@@ -247,11 +259,6 @@ def test_local_search_from_the_best_start_finds_what_was_planted(
 ) -> None:
     effect, s = find(name), recording(4)
     target = response(effect, s, planted)
-    if name == "encoder_ripple":  # what it looks for shows in the deflection that the encoders make
-        s.phi = s.phi - target
-        s.theta = s.q + s.phi
-    if name == "periodic_disturbance":  # which the spring carries
-        s.phi = s.phi - target / 300
     names = list(planted)
     bounds = {p.name: p for p in effect.params}
     scale = np.sqrt(np.mean(target**2))
@@ -272,7 +279,7 @@ def test_local_search_from_the_best_start_finds_what_was_planted(
         }
         return {**start, **limited}
 
-    starts = [with_amplitudes(start) for start in effect.starts(s)]
+    starts = [with_amplitudes(start) for start in (*effect.starts(s), *periodic(effect, s, target))]
     best = min(starts, key=lambda values: float(np.sum(error(values) ** 2)))
     size = np.array([max(abs(best[n]), 1e-6 if n != "phase" else 1.0) for n in names])
     fit = least_squares(

@@ -30,7 +30,7 @@ def ripples(problem: Problem, joint: str, signal: str, base: Sequence[Planned]) 
     rows = [r for r, row in enumerate(problem.balances.rows) if row.joint == own]
     found: list[float] = []
     for left in _left(problem, base)[rows]:
-        found += _strongest(place, left, problem.time, problem.settings.search)
+        found += strongest(place, left, problem.time, problem.settings.search)
     return tuple(dict.fromkeys(found))
 
 
@@ -47,7 +47,7 @@ def _left(problem: Problem, base: Sequence[Planned]) -> np.ndarray:
     return problem.remembered("ripples", extra, rest).reshape(len(problem.balances.rows), -1)
 
 
-def _strongest(
+def strongest(
     place: np.ndarray, left: np.ndarray, time: np.ndarray, settings: SearchSettings
 ) -> Iterator[float]:
     """Cycles per unit of `place` (n,) of the strongest ripples of `left` (n,) at times (n,) [s]: only those
