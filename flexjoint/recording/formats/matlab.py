@@ -37,7 +37,7 @@ def read(path: Path) -> Log:
     except (
         MatReadError, OSError, ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError,
         MemoryError,
-        AttributeError, UnicodeDecodeError, zlib.error, struct.error,
+        AttributeError, UnboundLocalError, UnicodeDecodeError, zlib.error, struct.error,
     ) as error:  # fmt: skip
         raise unreadable(str(path), KIND, error) from None
     arrays = dict(_arrays(content, "", 0))

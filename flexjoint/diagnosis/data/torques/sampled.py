@@ -67,6 +67,8 @@ def _near_torques(robot: Robot, recording: Recording, at: np.ndarray, width: flo
         for joint in robot.joint_names:
             if recording.has(channel, joint):
                 known = recording.time[np.isfinite(recording.get(channel, joint))]
+                if not known.size:  # a torque of a motor that was off all the time
+                    return np.zeros(at.size, dtype=bool)
                 nearest = np.interp(at, known, np.arange(known.size)).round().astype(int)
                 own = float(np.median(np.diff(known))) if known.size > 1 else 0.0
                 near &= np.abs(known[nearest] - at) <= max(width, own)
