@@ -13,7 +13,7 @@ help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
 	@echo "make test   make lint, and tests"
 	@echo "make test-all   these and the long tests, which diagnose a lot: half an hour or more; .ci/run runs them"
-	@echo "make lowest   tests of the core with the lowest versions that pyproject.toml allows; some twenty minutes"
+	@echo "make lowest   tests of the core with the lowest versions that pyproject.toml allows; some minutes"
 	@echo "make audit   known vulnerabilities of what is installed; pip-audit asks the package index"
 	@echo "make fuzz   hostile input to every reader and the main commands; an hour, EXAMPLES=300 for some minutes"
 	@echo "make study  some 2000 planted recordings diagnosed and counted: two or three hours; stop it and it goes on"

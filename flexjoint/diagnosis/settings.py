@@ -262,7 +262,7 @@ class BalanceSettings(Stage):
         "deviations of a denoised position",
         "by which it may go to and fro without any way for a state of friction, creep or hysteresis",
         "study: of 19 drawn machines with such a state, what the right law leaves fell at six (2.35 to 0.96"
-        " of the noise, 1.70 to 0.52, 6.6 to 4.1, ...), and rose at one (1.00 to 1.06); with 2 at eight",
+        " of the noise, 1.70 to 0.52, 6.6 to 4.1, ...), and rose at one (1.00 to 1.06); with 2 at six",
     )
     speed_deviations: float = number(
         4.0,

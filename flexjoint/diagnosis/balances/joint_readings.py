@@ -8,7 +8,7 @@ import numpy as np
 from scipy import fft
 
 from flexjoint.diagnosis.balances.motion import Motion
-from flexjoint.diagnosis.signals.signals import Wiener, wiener
+from flexjoint.diagnosis.signals.signals import Wiener
 from flexjoint.effects import Signals
 
 OCTAVE = 2.0  # factor in frequency, down and up, over which a power is averaged: gains that change faster ...
@@ -135,29 +135,29 @@ class JointReadings:
         s = 1j * self._window.omega
         return np.asarray((self._drive.B * s**2 + self._drive.D_m * s) * self.theta_hat)
 
-    @cached_property
+    @property
     def noise(self) -> Signals:
         """What a Wiener filter takes for noise in q, theta and phi, each by itself (what differs between two
         filters would be a deflection), and in their rates."""
+        return self._filtered[0]
+
+    @property
+    def position_errors(self) -> dict[str, np.ndarray]:
+        """(N,) [rad] what it leaves of the noise in q, theta and phi, by name."""
+        return self._filtered[1]
+
+    @cached_property
+    def _filtered(self) -> tuple[Signals, dict[str, np.ndarray]]:
+        """`noise` and `position_errors`, of one filter."""
         readings, smooth = self._readings, self._window.smooth
         size = {name: float(readings.noise[name][self._joint]) for name in ("q", "theta")}
         size["phi"] = float(np.hypot(size["q"], size["theta"]))
-        signals = {"q": self.q, "theta": self.theta, "phi": self.phi}
-        noise = {name: x - wiener(x, size[name]) for name, x in signals.items()}
+        noise, errors = {}, {}
+        for name, x in {"q": self.q, "theta": self.theta, "phi": self.phi}.items():
+            one = Wiener.of(x, size[name])
+            noise[name], errors[name] = x - one.signal(), one.error()
         rates = {f"d{name}": smooth(x, 1) for name, x in noise.items()}
-        return Signals(**noise, **rates)
-
-    @cached_property
-    def position_errors(self) -> dict[str, np.ndarray]:
-        """(N,) [rad] what a Wiener filter, which takes out what it can, leaves of the noise in q, theta and
-        phi, by name."""
-        q, theta = (float(self._readings.noise[name][self._joint]) for name in ("q", "theta"))
-        angles = {
-            "q": (self.q, q),
-            "theta": (self.theta, theta),
-            "phi": (self.phi, float(np.hypot(q, theta))),
-        }
-        return {name: Wiener.of(x, noise).error() for name, (x, noise) in angles.items()}
+        return Signals(**noise, **rates), errors
 
     @cached_property
     def speed_errors(self) -> dict[str, np.ndarray]:

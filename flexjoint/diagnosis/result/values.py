@@ -47,7 +47,8 @@ class Removed:
     against: str  # that signal
     # share of the cause's own torque that the error without it holds, by least squares, with its standard
     # error: 1 for the right law with the right numbers (Mincer and Zarnowitz 1969, "The evaluation of
-    # economic forecasts"), one half where the error is as large with the cause as without; None: not asked
+    # economic forecasts"), one half where the error is as large with the cause as without; None: not asked,
+    # or the cause hardly acts on that data
     held: float | None = None
     held_std: float | None = None
 
