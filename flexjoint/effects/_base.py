@@ -10,7 +10,7 @@ Signal flow of one joint, per tick:
     command tau_m -> COMMAND -> motor (MOTOR) -> phi = theta - q -> DEFLECTION -> SPRING -> link (LINK)
     states -> SENSOR -> readings -> (next tick) controller
 
-BODY effects change the rigid body itself (inertial parameters, gravity).
+BODY effects change the rigid body itself (inertial parameters, gravity), or how a rigid joint carries it.
 """
 
 from __future__ import annotations
@@ -137,6 +137,7 @@ class Effect:
     common: ClassVar[bool] = False  # several joints often have it by one value: one clock, one scale
     ordinary: ClassVar[bool] = False  # every machine has it: looked for first on a joint that leaves much
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness
+    for_rigid: ClassVar[bool] = False  # gives a rigid joint a spring: needs one of infinite stiffness
     is_cause: ClassVar[bool] = True  # whether a diagnosis may name it; a learned law has no name
 
     # --- what an effect can do -------------------------------------------------------------------

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from flexjoint.effects import Planned, Site
+from flexjoint.effects import Planned, Site, find
 from flexjoint.export.subject import Subject
 from flexjoint.robot.robot import Robot
 
@@ -122,6 +122,8 @@ class Target(ABC):
 
     def of_effect(self, name: str) -> Way:
         """How well it carries an effect of the catalogue, at best."""
+        if find(name).for_rigid:  # its joint is exported with the spring that it makes
+            return self.of_number("spring")
         return self.effects.get(name, UNMAPPED)
 
     def judge(self, robot: Robot, planned: Planned) -> Way:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flexjoint.core.errors import unknown
@@ -18,6 +18,7 @@ from flexjoint.export.ros2_control import Ros2Control
 from flexjoint.export.sdf import Sdf
 from flexjoint.export.subject import Subject
 from flexjoint.export.urdf import Urdf
+from flexjoint.model.springs import sprung
 from flexjoint.robot import robot as robots
 from flexjoint.robot.robot import Robot
 
@@ -62,7 +63,8 @@ def exported(robot: Robot, target: str) -> Exported:
 
     Raises UnknownNameError for an unknown target, RobotError for a robot that no such file holds.
     """
-    robot, found = robots.expect(robot, "export_robot"), find(target)
+    robot, others = sprung(robots.expect(robot, "export_robot"), robot.effects)
+    robot, found = replace(robot, effects=others), find(target)
     effects = [e for e in robot.effects if found.judge(robot, e).level is not Level.NONE]
     account = found.account(robot)
     return Exported(found, found.write(Subject(robot, tuple(effects)), account), account)

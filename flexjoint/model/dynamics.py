@@ -27,7 +27,7 @@ from flexjoint.model.contact.compliant import Ground
 from flexjoint.model.contact.rigid import RigidGround
 from flexjoint.model.joint import JointFlow, Part, neighbours
 from flexjoint.model.shafts import Group, Shaft, Tie, joined
-from flexjoint.model.springs import VariableSpring
+from flexjoint.model.springs import VariableSpring, sprung
 from flexjoint.rigidbody.numeric import PinBody
 from flexjoint.robot.robot import Robot
 
@@ -72,14 +72,15 @@ class FlexibleJointModel:
     """The nominal robot with effects.
 
     Args:
-        robot: what `flexjoint.robot.robot.load` gives.
+        robot: what `flexjoint.robot.robot.load` gives; joints that an effect makes bend are flexible ones.
         effects: the effects at work; default those that the robot lists.
         body: PinBody for numbers, SymbolicBody for CasADi expressions (effects may then hold symbols).
         at: effects whose `since` [s] is later than this are asleep (default: none is).
         springs: commanded stiffness and damping by joint, in place of the joints' own.
 
     Raises:
-        ModelError: the same effect twice on a joint, a spring effect or command on a rigid joint.
+        ModelError: the same effect twice on a joint, a spring effect or command on a rigid joint, or a
+            compliance on one that has a spring.
         UnknownNameError: an effect or spring on a joint that the robot does not actuate.
     """
 
@@ -91,9 +92,9 @@ class FlexibleJointModel:
         at: float = math.inf,
         springs: Mapping[str, VariableSpring] | None = None,
     ) -> None:
-        self.robot = robot
-        self.joints = robot.joints
-        self.effects: tuple[Planned, ...] = signal_order(robot.effects if effects is None else effects)
+        listed = signal_order(robot.effects if effects is None else effects)
+        self.robot, self.effects = sprung(robot, listed)
+        self.joints = self.robot.joints
         self.springs: dict[str, VariableSpring] = dict(springs or {})
         self._body_kind = body
         self._check()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -25,17 +25,6 @@ from flexjoint.model.parameters import DRIVE_KEYS, FREE, INERTIAL_KEYS, labels, 
 from flexjoint.model.springs import VariableSpring
 from flexjoint.rigidbody.symbolic import SymbolicBody
 from flexjoint.robot.robot import Joint, Robot
-
-
-@dataclass(frozen=True, kw_only=True)
-class FreeJoint(Joint):
-    """A joint whose drive holds symbols: its stiffness no longer shows whether it is rigid."""
-
-    is_rigid: bool = False
-
-    @property
-    def rigid(self) -> bool:
-        return self.is_rigid
 
 
 class SymbolicModel:
@@ -150,12 +139,12 @@ class SymbolicModel:
         return self.model.flows[i].read(channel, Signals(t=self.t), value)
 
 
-def _with_symbols(joint: Joint, symbols: Mapping[str, ca.SX]) -> FreeJoint:
+def _with_symbols(joint: Joint, symbols: Mapping[str, ca.SX]) -> Joint:
+    """The joint with symbols for its drive's numbers; a rigid one keeps its infinite stiffness."""
     numbers = {name: getattr(joint.drive, name) for name in DRIVE_KEYS}
     for name, key in DRIVE_KEYS.items():
         numbers[name] = symbols.get(f"drive.{joint.name}.{key}", numbers[name])
-    own = {field.name: getattr(joint, field.name) for field in fields(joint)}
-    return FreeJoint(**{**own, "drive": Drive(**numbers)}, is_rigid=joint.rigid)
+    return replace(joint, drive=Drive(**numbers))
 
 
 def _symbolic_spring(name: str, symbols: Mapping[str, ca.SX]) -> VariableSpring:

@@ -48,8 +48,9 @@ class Joint:
 
     @property
     def rigid(self) -> bool:
-        """Whether the transmission has no compliance: theta = q, the motor's inertia is armature."""
-        return math.isinf(self.drive.K)
+        """Whether the transmission has no compliance: theta = q, the motor's inertia is armature. A stiffness
+        that is an expression is a finite one."""
+        return isinstance(self.drive.K, (int, float)) and math.isinf(self.drive.K)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,6 +56,7 @@ SIZES: dict[str, dict[str, Any]] = {  # that matter in this motion
     "motor_coulomb_friction": {"level": 1.0},
     "motor_inertia": {"scale": 0.5},
     "motor_viscous_friction": {"coefficient": 3.0},
+    "joint_compliance": {"compliance": 2e-3, "relaxation": 2e-3},
     "payload": {"mass": 0.5, "position": (0.1, 0.05, -0.1)},
     "quadratic_drag": {"coefficient": 2.0},
     "spring_creep": {"stiffness": 300.0, "time_constant": 0.1},
@@ -124,7 +125,7 @@ def without_effects(flexible: bool) -> np.ndarray:
         pytest.param(name, flexible, id=f"{name or 'none'}-{'flexible' if flexible else 'rigid'}")
         for name in ["", *(name for name in CARRIED if name not in IN_READINGS)]
         for flexible in (True, False)
-        if flexible or not (name and catalogue()[name].needs_spring)  # a spring's effect needs a spring
+        if not name or not (catalogue()[name].for_rigid if flexible else catalogue()[name].needs_spring)
     ],
 )
 def test_the_difference_shrinks_with_the_step(name: str, flexible: bool) -> None:
@@ -136,7 +137,8 @@ def test_the_difference_shrinks_with_the_step(name: str, flexible: bool) -> None
         # RK4 at 1 kHz against our midpoint rule at 6 kHz, on motions of 0.1 rad
         assert coarse < 1e-7 and short < 1e-7
         return
-    matters = rms(truth - without_effects(flexible))
+    plain = without_effects(flexible)
+    matters = rms(truth[:, : plain.shape[1]] - plain)  # a joint that bends has its motor's angle behind them
     if Mjcf().judge(arm, planned[0]).level is Level.EXACT:
         assert coarse < 1e-4 and short < max(SHRINKS * coarse, FLOOR)
         assert short < 0.1 * matters  # leaving the effect out would be seen

@@ -27,6 +27,10 @@ def _drive(i: Inputs, K: float = 1.0, D: float = 1.0, B: float = 1.0, more: floa
     return K * i.drive.K, D * i.drive.D, B * i.drive.B, i.drive.D_m + more
 
 
+def _bent(i: Inputs, K: float) -> tuple[Any, ...]:
+    return K, i.drive.D + K * i.p.relaxation, i.drive.B, i.drive.D_m
+
+
 def _dead_zone(x: float, gap: float) -> float:
     return 0.0 if abs(x) <= gap / 2 else (x - gap / 2 if x > 0 else x + gap / 2)
 
@@ -109,6 +113,10 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
     "friction_drift": (
         "level N m, time_constant s",
         {"level": lambda i: i.p.level * np.exp(-i.s.t / i.p.time_constant)},
+    ),
+    "joint_compliance": (
+        "compliance rad/(N m), relaxation s",
+        {"edit_drive": lambda i: _bent(i, 1 / (1 / i.drive.K + i.p.compliance))},
     ),
     "spring_stiffness": ("scale 1", {"edit_drive": lambda i: _drive(i, K=1 + i.p.scale)}),
     "spring_damping": ("scale 1", {"edit_drive": lambda i: _drive(i, D=1 + i.p.scale)}),

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import fft
 
 from flexjoint.core.running.lru_cache import LruCache
+from flexjoint.diagnosis.balances.bending import Bending
 from flexjoint.diagnosis.balances.chain import Chain, Chains
 from flexjoint.diagnosis.balances.missing_links import MissingLinks
 from flexjoint.diagnosis.balances.motion import Motion, reconstruct
@@ -48,7 +49,7 @@ class Balances:
 
     def __init__(self, motion: Motion) -> None:
         self.motion, self.filter = motion, motion.filter
-        self.chains = Chains(motion)
+        self.chains, self.bending = Chains(motion), Bending(motion)
         self.rows: tuple[Row, ...] = tuple(_rows(motion))
         self._rigid = self.filter.spectrum(motion.rigid.tau)  # evaluated on filtered motion already
         self._rates = [self.chains.jomega**order for order in range(3)]
@@ -81,7 +82,7 @@ class Balances:
         """The same, (F,) by row, of the rows that may differ."""
         out: dict[int, np.ndarray] = {}
         sets = self._of_joints(base), self._of_joints(effects)
-        if _moving_links(base) == _moving_links(effects):
+        if [e.identity for e in _moving_links(base)] == [e.identity for e in _moving_links(effects)]:
             return self._changed_within(base, *sets)
         before, after = (self._chains(lists) for lists in sets)
         load: np.ndarray | float = 0.0
@@ -265,8 +266,8 @@ class Balances:
         corrected = {names[k] for k, chain in enumerate(chains) if chain.q_change is not None}
         return tuple(
             e.identity
-            for e in effects
-            if e.effect.site is Site.BODY or (e.effect.site is Site.SENSOR and e.joint in corrected)
+            for e in _moving_links(effects)
+            if e.effect.site is not Site.SENSOR or e.joint in corrected
         )
 
     def _rigid_change(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> np.ndarray:
@@ -278,6 +279,15 @@ class Balances:
     def _evaluated_rigid_change(self, effects: Sequence[Planned], chains: Sequence[Chain]) -> np.ndarray:
         rigid = self.motion.rigid
         change = self.chains.loads.added([e for e in effects if e.effect.site is Site.BODY])
+        bent = self.bending.drives(effects)
+        if bent:
+            passed = np.array([chains[i].motor for i in bent])
+            swung = self.bending.change(bent, rigid.tau + change, passed)
+            for i in bent:
+                sticking = chains[i].sticking_motor
+                if sticking.size:  # what holds the motor takes whatever the link pulls
+                    swung[i, sticking] = 0.0
+            change = change + swung
         for k, chain in enumerate(chains):
             if chain.q_change is None:
                 continue
@@ -331,9 +341,15 @@ def acts_within_a_joint(e: OnJoint) -> bool:
     return e.joint is not None and within
 
 
-def _moving_links(effects: Sequence[Planned]) -> list[object]:
-    """What of a set may change the rigid-body torques: bodies, and sensors, which may correct an angle."""
-    return [e.identity for e in effects if e.effect.site in (Site.BODY, Site.SENSOR)]
+def _moving_links(effects: Sequence[Planned]) -> list[Planned]:
+    """What of a set may change the rigid-body torques: bodies, and sensors, which may correct an angle; where
+    joints bend, by what their motors pass on, all that acts on these."""
+    bent = {e.joint for e in effects if e.effect.for_rigid}
+    return [
+        e
+        for e in effects
+        if e.effect.site in (Site.BODY, Site.SENSOR) or e.joint in bent or (bent and e.effect.reaches_before)
+    ]
 
 
 def _rows(motion: Motion) -> list[Row]:

@@ -40,6 +40,7 @@ class Laws:
         self.floating = motion.robot.file.offsets == "per_recording"
         self.ties = Ties(motion.robot)
         self._bases: dict[int, JointReadings] = {}
+        self._played: dict[tuple[int, str], np.ndarray | None] = {}
         self._corrected: LruCache[JointReadings] = LruCache()
         self.friction = DryFriction(motion.filter, motion.readings.sigma, motion.readings.settings.balances)
 
@@ -282,15 +283,29 @@ class Laws:
         noise still makes way without end: rates are those behind a play as wide."""
         if e.joint is None:
             return replace(signals)
-        base = self.base(self.motion.robot.joint_names.index(e.joint))
+        i = self.motion.robot.joint_names.index(e.joint)
+        base = self.base(i)
         less = {name: getattr(signals, name) for name in DRIVING}
         if self.has_twin:
             less = {name: x - getattr(base.noise, name) for name, x in less.items()}
-        for name, error in base.position_errors.items():
-            width = self.motion.readings.settings.balances.play_deviations * error
-            if np.any(width > 0.0):
-                less[f"d{name}"] = np.gradient(play(less[name], width), self.period)
+        for name in base.position_errors:
+            read = getattr(signals, name) is getattr(base, name)  # no effect has changed it
+            rate = self._behind_play(i, name) if read else self._rate_behind_play(i, name, less[name])
+            if rate is not None:
+                less[f"d{name}"] = rate
         return replace(signals, **less)
+
+    def _behind_play(self, i: int, name: str) -> np.ndarray | None:
+        """The rate of an angle of joint i as it was read, behind the play; None without one."""
+        if (i, name) not in self._played:
+            base = self.base(i)
+            less = getattr(base, name) - (getattr(base.noise, name) if self.has_twin else 0.0)
+            self._played[i, name] = self._rate_behind_play(i, name, less)
+        return self._played[i, name]
+
+    def _rate_behind_play(self, i: int, name: str, angle: np.ndarray) -> np.ndarray | None:
+        width = self.motion.readings.settings.balances.play_deviations * self.base(i).position_errors[name]
+        return np.gradient(play(angle, width), self.period) if np.any(width > 0.0) else None
 
     def since(self, e: Planned, with_effect: np.ndarray, without: np.ndarray) -> np.ndarray:
         return with_effect if e.since is None else np.where(self.t >= e.since, with_effect, without)

@@ -11,26 +11,16 @@ the equations of the links, linear about the nominal motion:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from flexjoint.diagnosis.balances.motion import Links, Motion
+from flexjoint.diagnosis.balances.swinging import Movement, Swinging
 
 SLOWEST = 0.1  # of a sample: a link whose spring moves it faster follows it at once
 FREE = 100.0  # times its RMS, a deflection that nothing prevents
 GROWN = 1e3  # times a start, in rad or rad/s, from which a movement does not settle
-
-
-@dataclass(frozen=True)
-class Movement:
-    """dq, dq' and dq'' (N,) of a link."""
-
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
 
 
 class MissingLinks:
@@ -126,23 +116,12 @@ class MissingLinks:
         return out
 
     def _by_load(self, force: np.ndarray, start: np.ndarray | None = None) -> list[tuple[int, Movement]]:
-        """What torques (k, N) on the driven links move them by, by the trapezoidal rule, from a `start`
-        (2 k,) of positions and speeds; from rest where the springs carry them without one."""
-        k, count = force.shape
-        mass, damping, stiffness = self._driven_matrices
-        drive = np.zeros((count, 2 * k))
-        mean = 0.5 * (force[:, :-1] + force[:, 1:]).T
-        if start is None:
-            drive[0, :k] = np.linalg.solve(stiffness[0], force[:, 0])
-        else:
-            drive[0] = start
-        drive[1:] = np.einsum("tij,tj->ti", self._steps[1], mean)
-        state, info = dtbtrs(self._recurrence, drive.reshape(-1, 1), uplo="L", diag="U")
-        assert info == 0  # the diagonal is 1
-        q, v = np.moveaxis(state.reshape(count, 2, k), 0, -1)
-        held = np.einsum("tij,jt->it", damping, v) + np.einsum("tij,jt->it", stiffness, q)
-        a = np.linalg.solve(mass, (force - held).T[:, :, None])[:, :, 0].T
-        return [(i, Movement(q[d], v[d], a[d])) for d, i in enumerate(self._driven)]
+        """What torques (k, N) on the driven links move them by, with a `start` (`Swinging.by`)."""
+        return list(zip(self._driven, self._swinging.by(force, start), strict=True))
+
+    @cached_property
+    def _swinging(self) -> Swinging:
+        return Swinging(*self._driven_matrices, self._motion.filter.period)
 
     @cached_property
     def _driven_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -158,32 +137,6 @@ class MissingLinks:
         own = np.diagonal(mass, axis1=1, axis2=2)
         mass = mass + np.maximum(0.0, least - own)[:, :, None] * np.eye(len(drives))
         return np.asarray(mass), by_v + damping, by_q + stiffness
-
-    @cached_property
-    def _steps(self) -> tuple[np.ndarray, np.ndarray]:
-        """(N - 1, 2 k, 2 k) and (N - 1, 2 k, k): the state (dq, dq') after a step, of the one before it and
-        of the mean torque."""
-        h, k = self._motion.filter.period, len(self._driven)
-        mass, damping, stiffness = (0.5 * (x[:-1] + x[1:]) for x in self._driven_matrices)
-        one = np.broadcast_to(np.eye(k), mass.shape)
-        # M dv = h (f - C v - K q) and dq = h v, each with the means of both ends
-        left = np.block([[one, -0.5 * h * one], [0.5 * h * stiffness, mass + 0.5 * h * damping]])
-        right = np.block([[one, 0.5 * h * one], [-0.5 * h * stiffness, mass - 0.5 * h * damping]])
-        pushed = np.concatenate([np.zeros_like(mass), h * one], axis=1)
-        solved = np.linalg.solve(left, np.concatenate([right, pushed], axis=2))
-        return solved[:, :, : 2 * k], solved[:, :, 2 * k :]
-
-    @cached_property
-    def _recurrence(self) -> np.ndarray:
-        """The steps as a banded matrix (LAPACK's lower form): state - step times the state before = drive."""
-        step = self._steps[0]
-        size = step.shape[1]
-        band = np.zeros((2 * size, (len(step) + 1) * size))
-        band[0] = 1.0
-        for row in range(size):
-            for column in range(size):
-                band[size + row - column, column : len(step) * size : size] = -step[:, row, column]
-        return band
 
     def _torque(self, joint: int, i: int, movement: Movement) -> np.ndarray:
         """(N,) the torque at a joint by which its load changes with a movement of link i, beyond that in the

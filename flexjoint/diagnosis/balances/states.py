@@ -77,8 +77,8 @@ def play(x: np.ndarray, width: np.ndarray) -> np.ndarray:
     lows, highs = np.empty_like(low), np.empty_like(high)
     lows[0], highs[0] = low[0], high[0]
     for row in range(1, length):
-        lows[row] = np.clip(lows[row - 1], low[row], high[row])
-        highs[row] = np.clip(highs[row - 1], low[row], high[row])
+        for ends in (lows, highs):  # np.clip takes three times as long for so few
+            np.minimum(np.maximum(ends[row - 1], low[row]), high[row], out=ends[row])
     here, begins = float(x[0]), []
     for least, most in zip(lows[-1].tolist(), highs[-1].tolist(), strict=True):
         begins.append(here)

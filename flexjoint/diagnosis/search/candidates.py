@@ -123,7 +123,16 @@ def visible(problem: Problem, candidate: Candidate) -> bool:
         Site.LINK: LINK in rows or (rigid and MOTOR in rows),
         Site.BODY: LINK in rows or (rigid and MOTOR in rows),
     }
+    if effect.for_rigid and not _bends(problem, i):
+        return False
     return shown[effect.site] and not (rigid and (effect.needs_spring or effect.on_rigid))
+
+
+def _bends(problem: Problem, i: int) -> bool:
+    """Whether a recording can show that a joint taken as rigid bends: it has an encoder at the motor, and
+    turns by itself."""
+    joint, coupled = problem.robot.joints[i], {k for c in problem.robot.couplings for k in c.joints}
+    return joint.rigid and problem.readings.encoder(joint.name) == "theta" and i not in coupled
 
 
 def _is_limit(effect: Effect) -> bool:

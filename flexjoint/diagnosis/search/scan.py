@@ -235,7 +235,8 @@ def _score(
     removes = -(2.0 * np.sum(amplitude * force, axis=1))
     removes -= np.einsum("bk,bkl,bl->b", amplitude, curvature, amplitude)
     at = int(np.argmax(removes))
-    if trace.candidate.joint is None or removes[at] - removes[0] < settings.onset_margin * abs(removes[at]):
+    always = trace.candidate.joint is None or trace.candidate.effect.for_rigid
+    if always or removes[at] - removes[0] < settings.onset_margin * abs(removes[at]):
         at = 0
     since = None if at == 0 else float(starts[at])
     return Scored(trace, amplitude[at], float(removes[at]), since, kept.sight)

@@ -87,9 +87,12 @@ def make(links: list[tuple[Any, ...]], changes: dict[str, dict[str, Any]] | None
 
 
 def one_of_each(joint: str) -> list[Planned]:
-    """Every effect of the catalogue once, on the joint or the whole robot, at sizes that matter."""
+    """Every effect of the catalogue that a joint with a spring can have, once, on the joint or the whole
+    robot, at sizes that matter."""
     out = []
     for name, effect in catalogue().items():
+        if effect.for_rigid:
+            continue
         values = {p.name: p.value for p in effect.params if p.size == 1}
         out.append(Planned.of(name, None if effect.whole_robot else joint, {**values, **WORDS.get(name, {})}))
     return out
