@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ BALANCES = {
     "motor": "motor: tau_m - B ddtheta - D_m dtheta - tau_t",
     "spring": "spring: tau_t - K phi - D dphi",
     "link": "link: tau_t - inverse dynamics",
+    "rigid": "motor: tau_m - B ddtheta - D_m dtheta - inverse dynamics",  # of a joint without a spring
 }
 TOLD_APART = (  # docs/explained/diagnosis.md, "Ties": what looks alike in a poor recording, and what parts it
     ("torque_gain", "motor_coulomb_friction", "a rich motion with tau_t"),
@@ -247,7 +249,7 @@ def _picture(effect: Effect, planted: dict[str, Any], folder: Path) -> str:
 
 def _draw(effect: Effect, planted: dict[str, Any], path: Path) -> None:
     robot, joint = _robot(effect)
-    nominal = _nominal(robot.name)
+    nominal = _nominal(robot.name, effect.for_rigid)
     where = None if effect.whole_robot else joint
     run = fj.simulate(
         fj.FlexibleJointModel(robot, [fj.effect(effect.name, where, **planted)]), _reference(robot)
@@ -264,7 +266,7 @@ def _draw(effect: Effect, planted: dict[str, Any], path: Path) -> None:
             x[inner][::3], residuals[balance][inner][::3], ".", color=BEFORE, markersize=1.6, rasterized=True
         )
         left.set_xlabel(f"{effect.against} [{unit_of(effect.against, False) or 's'}]")
-        left.set_ylabel(f"{balance} residual [N m]")
+        left.set_ylabel(f"{BALANCES[balance].split(':')[0]} residual [N m]")
         left.set_title(BALANCES[balance], fontsize=7, loc="left", color="#52606d")
         right.plot(run.true.time, astray, color=AFTER, linewidth=0.9)
         right.set_xlabel("time [s]")
@@ -288,13 +290,15 @@ def _signal(run: fj.Recording, name: str, joint: str, joints: tuple[str, ...]) -
 
 def _robot(effect: Effect) -> tuple[fj.Robot, str]:
     name, joint = TWO if effect.name == "joint_coupling" or effect.reaches_before else ONE
-    robot = _loaded(name)
+    robot = _loaded(name, effect.for_rigid)
     return robot, joint or robot.joint_names[-1]
 
 
 @cache
-def _loaded(name: str) -> fj.Robot:
-    return fj.load_robot(ROBOTS / f"{name}.yaml")
+def _loaded(name: str, rigid: bool = False) -> fj.Robot:
+    robot = fj.load_robot(ROBOTS / f"{name}.yaml")
+    joints = (replace(joint, drive=replace(joint.drive, K=np.inf, D=0.0)) for joint in robot.joints)
+    return replace(robot, joints=tuple(joints)) if rigid else robot
 
 
 def _reference(robot: fj.Robot) -> fj.Recording:
@@ -308,24 +312,27 @@ def _reference(robot: fj.Robot) -> fj.Recording:
 
 
 @cache
-def _nominal(name: str) -> fj.Simulation:
-    robot = _loaded(name)
+def _nominal(name: str, rigid: bool = False) -> fj.Simulation:
+    robot = _loaded(name, rigid)
     return fj.simulate(fj.FlexibleJointModel(robot), _reference(robot))
 
 
 def _residuals(robot: fj.Robot, run: fj.Recording, joint: str) -> dict[str, np.ndarray]:
     """(N,) [N m] of each balance of the nominal numbers, along the measured motion."""
-    drive, time = robot.joint(joint).drive, run.time
+    drive, time, rigid = robot.joint(joint).drive, run.time, robot.joint(joint).rigid
     get = lambda channel, name=joint: run.get(channel, name)  # noqa: E731
     tau_t, phi, dphi = get("tau_t"), get("theta") - get("q"), get("dtheta") - get("dq")
-    q, dq = (np.stack([get(c, name) for name in robot.joint_names], axis=1) for c in ("q", "dq"))
+    seen = ("theta", "dtheta") if rigid else ("q", "dq")
+    q, dq = (np.stack([get(c, name) for name in robot.joint_names], axis=1) for c in seen)
     ddq = np.gradient(dq, time, axis=0)
     data = robot.model.createData()
     place = robot.joint(joint).idx_v
     load = np.array([pin.rnea(robot.model, data, *state)[place] for state in zip(q, dq, ddq, strict=True)])
-    ddtheta = np.gradient(get("dtheta"), time)
+    driven = get("tau_m") - drive.B * np.gradient(get("dtheta"), time) - drive.D_m * get("dtheta")
+    if rigid:
+        return {"rigid": driven - load}
     return {
-        "motor": get("tau_m") - drive.B * ddtheta - drive.D_m * get("dtheta") - tau_t,
+        "motor": driven - tau_t,
         "spring": tau_t - drive.K * phi - drive.D * dphi,
         "link": tau_t - load,
     }
@@ -334,7 +341,7 @@ def _residuals(robot: fj.Robot, run: fj.Recording, joint: str) -> dict[str, np.n
 def _planted(effect: Effect) -> dict[str, Any]:
     """The usual size; of what depends on the motion, what this one meets."""
     robot, joint = _robot(effect)
-    run = _nominal(robot.name).true
+    run = _nominal(robot.name, effect.for_rigid).true
     torque, speed, angle = (np.abs(run.get(c, joint)).max() for c in ("tau_m", "dtheta", "q"))
     met = {
         "torque_saturation": {"limit": 0.7 * torque},
@@ -342,6 +349,12 @@ def _planted(effect: Effect) -> dict[str, Any]:
         "end_stop": {"position": 0.7 * angle, "stiffness": 4 * float(robot.joint(joint).drive.K)},
         "rough_spot": {"level": 0.08 * 120.0, "position": 0.1, "width": 0.1},
     }
+    if effect.for_rigid:  # the spring that its file gives the robot
+        drive = _loaded(robot.name).joint(joint).drive
+        return {
+            "compliance": float(f"{1.0 / drive.K:.3g}"),
+            "relaxation": float(f"{drive.D / drive.K:.3g}"),
+        }
     if effect.name in met:
         return {name: float(f"{value:.3g}") for name, value in met[effect.name].items()}
     try:

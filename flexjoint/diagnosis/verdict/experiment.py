@@ -43,12 +43,20 @@ def advice(
         return (
             f"Record slow and fast sweeps of {worst.joint} over its whole range: what is left of its"
             f" {worst.balance} balance depends on {signal_name(worst.against, rigid)}."
+            + _side_of_encoder(robot, recording, worst.joint)
         )
     if blind:
         joints = sorted({joint for _, joint in blind if joint is not None})
         where = f" of {', '.join(joints)}" if joints else ""
         return f"For what was not excited: a motion{where} with reversals, high load and full range."
     return ""
+
+
+def _side_of_encoder(robot: Robot, recording: Recording, joint: str) -> str:
+    """What a log with a rigid joint's `q` alone leaves open: at the link, an encoder sees no bending."""
+    if not robot.joint(joint).rigid or recording.has("theta", joint):
+        return ""
+    return f" If a motor reads q.{joint}, name it theta.{joint}: whether the joint bends is looked for then."
 
 
 def _name(effect: str, joint: str | None) -> str:

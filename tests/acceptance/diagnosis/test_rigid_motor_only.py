@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -108,3 +109,12 @@ def test_springs_are_not_spoken_of(rigid: Path) -> None:
             assert not re.search(r"(?<!cable )spring|deflection|\bphi\b", said), said
     left = [Unexplained("swing", "motor", 0.5, "tau_t")]
     assert "depends on load torque tau_t." in advice(loaded, recording, [], left, [])
+
+
+def test_a_log_that_does_not_say_where_its_encoder_is_hears_what_that_leaves_open(rigid: Path) -> None:
+    loaded, left = robot.load(rigid), [Unexplained("swing", "motor", 0.5, "dtheta")]
+    recording = as_recording(plant(rigid, [], "rich", 4.0, 5, MOTOR, rate=RATE))
+    columns = {("q" if c == "theta" else c, j): x for (c, j), x in recording.columns.items()}
+    unsaid = replace(recording, columns=columns)
+    assert "name it theta.swing: whether the joint bends" in advice(loaded, unsaid, [], left, [])
+    assert "theta.swing" not in advice(loaded, recording, [], left, [])

@@ -19,6 +19,7 @@ NAMES = {
     "motor_viscous_friction": "friction that grows with speed",
     "link_viscous_friction": "friction behind the gear that grows with speed",
     "spring_stiffness": "stiffness",
+    "joint_compliance": "a joint that bends",
     "payload": "payload that is not stated",
     "base_tilt": "tilt of the base",
 }
@@ -30,9 +31,9 @@ NEXT: dict[Sort, str] = {
 
 
 def sort_of(effect: str) -> Sort:
-    """Settings act on the body; sensors on readings and their time; what else is wear."""
+    """Settings act on the body; sensors on readings and their time; what else, a soft joint too, is wear."""
     law = catalogue()[effect]
-    if law.site is Site.BODY:
+    if law.site is Site.BODY and not law.for_rigid:
         return "setting"
     return "sensor" if law.kind in (Kind.SENSOR, Kind.TIMING) else "wear"
 
