@@ -251,11 +251,17 @@ class BalanceSettings(Stage):
     )
     drawn: float = number(
         0.2,
-        "",
-        "damping ratio with which the link of a joint that bends is drawn to where the torque that its motor"
-        " passes on puts it",
+        "of critical damping",
+        "with which the link of a joint that bends is drawn to where the torque that its motor passes on puts"
+        " it",
         "study: the right spring of a planted lever leaves 3, 10 and 41 % more than its noise at 0.1, 0.3 and"
         " 1.0; the smaller the ratio, the nearer to the right number a fit must begin",
+    )
+    drawn_band: float = number(
+        3.0,
+        "resonances",
+        "up to which the motor's torque draws the link",
+        "theory: above its resonance a link stays where it is, and a torque tells its own noise",
     )
     rest_rings: float = number(
         1.0,

@@ -25,7 +25,6 @@ from flexjoint.diagnosis.signals.signals import reach_of_ends
 from flexjoint.effects import Drive, Planned
 
 REMEMBERED = 2e7  # bytes of equations
-BAND = 3.0  # times a resonance, up to which a motor's torque draws the link
 
 
 class Bending:
@@ -74,9 +73,10 @@ class _Equations:
         self._K, self._D = (np.array([getattr(drive, name) for drive in drives.values()]) for name in "KD")
         inertia = np.diagonal(np.mean(mass, axis=0))
         own = np.sqrt(self._K / inertia)  # rad/s
-        self._drawn = 2.0 * motion.readings.settings.balances.drawn * inertia * own
+        limits = motion.readings.settings.balances
+        self._drawn = 2.0 * limits.drawn * inertia * own
         # (k, F) deflections by the torques: far above the resonance these tell their own noise
-        reach = BAND * own[:, None]
+        reach = limits.drawn_band * own[:, None]
         spring = self._K[:, None] + 1j * motion.filter.omega * self._D[:, None]
         self.told = np.exp(-0.5 * (motion.filter.omega / reach) ** 2) / spring
         self._swinging = Swinging(
