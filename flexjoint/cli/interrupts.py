@@ -2,7 +2,8 @@
 
 Python raises KeyboardInterrupt between two of its own instructions, and a run of a compiled model, a solver
 or a reader may take seconds until the next. So a thread hears of the signal, too, and ends the process where
-the main thread has not done so within a moment.
+the main thread has not done so within a moment. And a library may swallow the exception and raise another one
+(CasADi's, of what it converts when it is raised), so that it is known whether one was raised.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
 from typing import NoReturn
 
 from flexjoint.cli import streams
@@ -25,20 +27,33 @@ MOMENT = 0.4  # s for the main thread: to end workers, remove what was half writ
 
 
 @contextmanager
-def ended_at_once() -> Iterator[None]:
-    """Within, Ctrl-C ends the process within about half a second, whatever it is doing."""
-    if os.name != "posix" or threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's
+def ended_at_once() -> Iterator[Callable[[], bool]]:
+    """Within, Ctrl-C ends the process within about half a second, whatever it is doing. Gives whether it came
+    already."""
+    came, usual = threading.Event(), signal.getsignal(signal.SIGINT)
+    if (
+        os.name != "posix"
+        or threading.current_thread() is not threading.main_thread()  # signals are that one's
+        or usual is not signal.default_int_handler  # who ignores them is not to hear of them
+    ):
+        yield came.is_set
         return
+
+    def raises(number: int, frame: FrameType | None) -> None:
+        came.set()
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGINT, raises)
     over = threading.Event()
     hears, is_told = socket.socketpair()
     is_told.setblocking(False)
     before = signal.set_wakeup_fd(is_told.fileno(), warn_on_full_buffer=False)
     threading.Thread(target=_listen, args=(hears, over), daemon=True, name="interrupts").start()
     try:
-        yield
+        yield came.is_set
     finally:
         signal.set_wakeup_fd(before)
+        signal.signal(signal.SIGINT, usual)
         over.set()
         with suppress(OSError):
             is_told.shutdown(socket.SHUT_RDWR)

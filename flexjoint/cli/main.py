@@ -56,8 +56,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def command() -> NoReturn:
     """The program: `main`, and its end, on which Ctrl-C waits for nothing."""
-    with ended_at_once():
-        code = main()
+    with ended_at_once() as interrupted:
+        try:
+            code = main()
+        except Exception:
+            if not interrupted():
+                raise
+            code = INTERRUPTED  # a library has made another exception of it
+        if interrupted():
+            streams.say_interrupted()
+            code = INTERRUPTED
         if code == INTERRUPTED:  # what is in memory need not be put away
             end_now(code)
     raise SystemExit(code)
