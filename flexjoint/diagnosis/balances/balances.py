@@ -21,9 +21,9 @@ import numpy as np
 from scipy import fft
 
 from flexjoint.core.running.lru_cache import LruCache
-from flexjoint.diagnosis.balances.bending import Bending
 from flexjoint.diagnosis.balances.chain import Chain, Chains
-from flexjoint.diagnosis.balances.missing_links import MissingLinks
+from flexjoint.diagnosis.balances.links.bending import Bending
+from flexjoint.diagnosis.balances.links.missing_links import MissingLinks
 from flexjoint.diagnosis.balances.motion import Motion, reconstruct
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.rounding import Colour, colours_of

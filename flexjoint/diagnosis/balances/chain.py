@@ -14,7 +14,7 @@ import numpy as np
 from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.joint_readings import JointReadings
 from flexjoint.diagnosis.balances.laws import Laws, by_site, dry
-from flexjoint.diagnosis.balances.loads import Loads
+from flexjoint.diagnosis.balances.links.loads import Loads
 from flexjoint.diagnosis.balances.motion import Motion
 from flexjoint.diagnosis.balances.shafts import Shafts
 from flexjoint.effects import Drive, Planned, Signals, Site, signal_order

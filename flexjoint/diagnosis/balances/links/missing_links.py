@@ -15,8 +15,8 @@ from functools import cached_property
 
 import numpy as np
 
+from flexjoint.diagnosis.balances.links.swinging import Movement, Swinging
 from flexjoint.diagnosis.balances.motion import Links, Motion
-from flexjoint.diagnosis.balances.swinging import Movement, Swinging
 
 SLOWEST = 0.1  # of a sample: a link whose spring moves it faster follows it at once
 FREE = 100.0  # times its RMS, a deflection that nothing prevents

@@ -19,8 +19,8 @@ import numpy as np
 from scipy import fft
 
 from flexjoint.core.running.lru_cache import LruCache
+from flexjoint.diagnosis.balances.links.swinging import Swinging
 from flexjoint.diagnosis.balances.motion import Motion
-from flexjoint.diagnosis.balances.swinging import Swinging
 from flexjoint.diagnosis.signals.signals import reach_of_ends
 from flexjoint.effects import Drive, Planned
 

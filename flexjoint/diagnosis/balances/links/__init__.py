@@ -1,0 +1,1 @@
+"""How links move and what they carry along a motion."""
