@@ -680,6 +680,19 @@ class SearchSettings(Stage):
         "by which an onset is dated, with a fit after each row: a jump of an encoder is seen to the sample",
         "judgement",
     )
+    switch_seconds: float = number(
+        0.5,
+        "s",
+        "that something is held at least, and at least is not, where a cause comes and goes: switched faster,"
+        " it would imitate laws of the motion",
+        "judgement",
+    )
+    switch_rounds: int = number(
+        4,
+        "rounds",
+        "at most, in which the times at which a cause comes and goes and its numbers are found in turn",
+        "judgement",
+    )
     # --- several recordings
     present: float = number(
         1.0,

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import math
 import pkgutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any
+
+import numpy as np
 
 from flexjoint.core.errors import ModelError, unknown
 from flexjoint.core.parameter import Parameter
@@ -18,8 +22,10 @@ from flexjoint.effects._base import Effect, Site
 class Planned:
     """An effect at work on a joint: what a robot's YAML lists under `effects`.
 
-    `since` [s] is the time at which it sets in (None: always on). `nominal` marks what the nominal
-    model already claims. `std` holds the standard errors of fitted parameters.
+    `since` [s] is the time at which it sets in (None: always on), `switches` [s] are the times after that at
+    which it ceases, acts again, ceases, and so on; one that acts from the start and ceases later has set in
+    at -inf. `nominal` marks what the nominal model already claims. `std` holds the standard errors of fitted
+    parameters.
     """
 
     effect: Effect
@@ -28,6 +34,7 @@ class Planned:
     since: float | None = None
     nominal: bool = False
     std: Mapping[str, Any] = field(default_factory=dict)
+    switches: tuple[float, ...] = ()
 
     @property
     def key(self) -> tuple[str, str | None]:
@@ -37,7 +44,25 @@ class Planned:
     def identity(self) -> tuple[object, ...]:
         """What makes two planned effects the same to a law."""
         values = tuple(tuple(v) if isinstance(v, (list, tuple)) else v for v in self.values.values())
-        return self.effect.name, self.joint, tuple(self.values), values, self.since
+        return self.effect.name, self.joint, tuple(self.values), values, self.since, self.switches
+
+    @property
+    def changes(self) -> tuple[float, ...]:
+        """The times [s] at which it sets in, ceases, and so on, as far as they are within a recording."""
+        return tuple(t for t in (self.since, *self.switches) if t is not None and math.isfinite(t))
+
+    def acts(self, t: Any) -> Any:
+        """Whether it is at work at times t [s], a number or an array."""
+        if self.since is None:
+            return np.full(np.shape(t), True)[()]
+        return np.searchsorted((self.since, *self.switches), t, side="right") % 2 == 1
+
+    @property
+    def during(self) -> tuple[tuple[float, float], ...]:
+        """The spans [s] in which it acts; from -inf where it acts from the start, to inf where it goes on."""
+        begin = -math.inf if self.since is None else self.since
+        times = (begin, *self.switches, *(() if len(self.switches) % 2 else (math.inf,)))
+        return tuple(zip(times[::2], times[1::2], strict=True))
 
     @cached_property
     def place(self) -> tuple[object, ...]:
@@ -58,7 +83,8 @@ class Planned:
         these."""
         parts = [dict(part.values) for part in self.parts if part.effect.name == name]
         common = {p.name: self.values[p.name] for p in find(name).params if p.name in self.values}
-        return tuple(Planned.of(name, self.joint, values, since=self.since) for values in parts or [common])
+        simple = [Planned.of(name, self.joint, values) for values in parts or [common]]
+        return tuple(replace(one, since=self.since, switches=self.switches) for one in simple)
 
     @property
     def p(self) -> Any:
@@ -73,6 +99,7 @@ class Planned:
         values: Mapping[str, Any],
         *,
         since: float | None = None,
+        switches: Sequence[float] = (),
         nominal: bool = False,
     ) -> Planned:
         """An effect on a joint from a mapping of parameters, checked: names, shapes, finite numbers, bounds.
@@ -92,7 +119,13 @@ class Planned:
                 raise ModelError(f"{name}.{param.name}: expected {param.size} numbers, got {given!r}")
             for number in numbers:
                 param.checked(number, f"{name}.{param.name}")
-        return cls(law, joint, dict(record._asdict()), since, nominal)
+        times = tuple(float(t) for t in switches)
+        begin = -math.inf if since is None else since
+        if any(not math.isfinite(t) for t in times) or any(a >= b for a, b in pairwise((begin, *times))):
+            raise ModelError(f"{name}: expected switches at increasing times after `since`, got {times}")
+        if times and since is None:
+            since = begin
+        return cls(law, joint, dict(record._asdict()), since, nominal, switches=times)
 
     def with_values(self, values: Mapping[str, Any]) -> Planned:
         return replace(self, values={**self.values, **values})
@@ -149,6 +182,7 @@ def effect(
     joint: str | None = None,
     *,
     since: float | None = None,
+    switches: Sequence[float] = (),
     nominal: bool = False,
     **parameters: Any,
 ) -> Planned:
@@ -157,12 +191,14 @@ def effect(
     Args:
         name: of the effect (docs/reference/effects.md).
         joint: the joint it acts on; None for an effect of the whole robot.
-        since: time in a recording at which it sets in [s]; None: always on.
+        since: time in a recording at which it sets in [s]; None: from the start.
+        switches: times after that at which it ceases, acts again, ceases, and so on [s]; none: it goes on.
         nominal: whether the nominal model already claims it.
         parameters: the effect's own, in SI units; those not given take their default.
 
     Raises:
         UnknownNameError: the name or a parameter does not exist; the message lists those that do.
-        ModelError: a number is out of its bounds or of the wrong shape, or the joint is missing.
+        ModelError: a number is out of its bounds or of the wrong shape, the joint is missing, or the switches
+            do not increase.
     """
-    return Planned.of(name, joint, parameters, since=since, nominal=nominal)
+    return Planned.of(name, joint, parameters, since=since, switches=switches, nominal=nominal)

@@ -10,6 +10,7 @@ class Payload(Effect):
     """A point mass fixed to a link, at a position in the joint's link frame."""
 
     site, against, reference = Site.BODY, "q", "Khalil and Dombre 2002, section 9.2 (inertial parameters)"
+    comes_and_goes = True  # picked and placed
     law = r"\Delta\pi = m\,(1, r, -[r]_\times^2)"
     params = (
         Parameter("mass", "kg", "m", value=0.1, low=-1e3, high=1e4),

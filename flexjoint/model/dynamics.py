@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -31,6 +31,7 @@ from flexjoint.model.springs import VariableSpring, sprung
 from flexjoint.rigidbody.numeric import PinBody
 from flexjoint.robot.robot import Robot
 
+Made = TypeVar("Made")
 MAX_STATES = 1  # internal states of one effect: its laws take a scalar z
 
 
@@ -75,7 +76,7 @@ class FlexibleJointModel:
         robot: what `flexjoint.robot.robot.load` gives; joints that an effect makes bend are flexible ones.
         effects: the effects at work; default those that the robot lists.
         body: PinBody for numbers, SymbolicBody for CasADi expressions (effects may then hold symbols).
-        at: effects whose `since` [s] is later than this are asleep (default: none is).
+        at: time [s] at which effects have to be at work; None: all are, whenever they set in or cease.
         springs: commanded stiffness and damping by joint, in place of the joints' own.
 
     Raises:
@@ -89,7 +90,7 @@ class FlexibleJointModel:
         robot: Robot,
         effects: Iterable[Planned] | None = None,
         body: Callable[..., Any] = PinBody,
-        at: float = math.inf,
+        at: float | None = None,
         springs: Mapping[str, VariableSpring] | None = None,
     ) -> None:
         listed = signal_order(robot.effects if effects is None else effects)
@@ -98,12 +99,12 @@ class FlexibleJointModel:
         self.springs: dict[str, VariableSpring] = dict(springs or {})
         self._body_kind = body
         self._check()
-        awake = [planned for planned in self.effects if planned.since is None or planned.since <= at]
+        awake = [planned for planned in self.effects if at is None or planned.acts(at)]
         self._slots = {planned.key: k for k, planned in enumerate(x for x in self.effects if x.effect.states)}
         following = [
             x
             for x in self.effects
-            if x.effect.overrides("steady_state") and x.since is not None and x.since > at
+            if x.effect.overrides("steady_state") and at is not None and not x.acts(at)
         ]
         self.flows = tuple(
             JointFlow(
@@ -224,17 +225,28 @@ class FlexibleJointModel:
     # --- effects in time -------------------------------------------------------------------------
     @cached_property
     def onsets(self) -> tuple[float, ...]:
-        """Times at which effects set in [s], increasing."""
-        return tuple(sorted({planned.since for planned in self.effects if planned.since is not None}))
+        """Times at which effects set in or cease [s], increasing."""
+        return tuple(sorted({t for planned in self.effects for t in planned.changes}))
 
     @cached_property
     def phases(self) -> tuple[tuple[float, FlexibleJointModel], ...]:
         """The model before the first onset (from -inf) and from each onset on."""
         if not self.onsets:
             return ((-math.inf, self),)
-        times = (-math.inf, *self.onsets)
         kind, springs = self._body_kind, self.springs
-        return tuple((t, FlexibleJointModel(self.robot, self.effects, kind, t, springs)) for t in times)
+        return self.by_phase(lambda t: FlexibleJointModel(self.robot, self.effects, kind, t, springs))
+
+    def by_phase(self, make: Callable[[float], Made]) -> tuple[tuple[float, Made], ...]:
+        """The begin of each phase [s] and what `make` makes of it: once for phases in which the same effects
+        act."""
+        made: dict[tuple[bool, ...], Made] = {}
+        out = []
+        for t in (-math.inf, *self.onsets):
+            acting = tuple(bool(planned.acts(t)) for planned in self.effects)
+            if acting not in made:
+                made[acting] = make(t)
+            out.append((t, made[acting]))
+        return tuple(out)
 
     @cached_property
     def rubs(self) -> bool:

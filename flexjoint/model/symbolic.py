@@ -7,7 +7,6 @@ on (`since` belongs to a recording) unless a time is given. Steps of it are in
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -51,7 +50,7 @@ class SymbolicModel:
         effects: Iterable[Planned] | None = None,
         *,
         free: Collection[str] = (),
-        at: float = math.inf,
+        at: float | None = None,
         springs: Mapping[str, VariableSpring] | None = None,
         commanded: Collection[str] = (),
     ) -> None:

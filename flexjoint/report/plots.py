@@ -105,7 +105,7 @@ def errors(
     after: np.ndarray | None,
     channel: str,
     marked: tuple[float, float],
-    since: float | None,
+    changes: Sequence[float],
     prismatic: bool,
     alt: str,
 ) -> Image:
@@ -118,8 +118,8 @@ def errors(
         axes.plot(*series.thinned(time, before, BUCKETS), color=BEFORE, linewidth=0.8)
         if after is not None:
             axes.plot(*series.thinned(time, after, BUCKETS), color=AFTER, linewidth=0.8)
-        if since is not None:
-            axes.axvline(since, color=INK, linewidth=1.0, linestyle=":")
+        for time_of_change in changes:
+            axes.axvline(time_of_change, color=INK, linewidth=1.0, linestyle=":")
         _tight(axes, time)
         return _image(figure, alt)
 

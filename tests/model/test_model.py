@@ -173,6 +173,33 @@ def test_effects_sleep_before_their_onset() -> None:
     assert tilts == [False, False, True]
 
 
+def test_effects_that_come_and_go_make_a_model_for_each_set_that_acts() -> None:
+    picked = effect("payload", "joint", since=1.0, switches=(2.0, 3.0, 4.0), mass=1.0)
+    model = FlexibleJointModel(make(PENDULUM), [picked])
+    assert model.onsets == (1.0, 2.0, 3.0, 4.0)
+    off, on = model.phases[0][1], model.phases[1][1]
+    assert off is not on and [phase is on for _, phase in model.phases] == [False, True, False, True, False]
+
+
+def test_when_an_effect_acts() -> None:
+    times = np.array([-1.0, 0.0, 0.5, 1.0, 1.5, 2.0, 9.0])
+    always, late = effect("payload", "joint"), effect("payload", "joint", since=1.0)
+    placed = effect("payload", "joint", switches=(0.5,))
+    picked = effect("payload", "joint", since=0.5, switches=(1.0, 2.0))
+    assert always.acts(times).all() and always.acts(0.0) and always.changes == ()
+    np.testing.assert_array_equal(late.acts(times), times >= 1.0)
+    np.testing.assert_array_equal(placed.acts(times), times < 0.5)
+    np.testing.assert_array_equal(picked.acts(times), [0, 0, 1, 0, 0, 1, 1])
+    assert always.during == ((-math.inf, math.inf),) and placed.during == ((-math.inf, 0.5),)
+    assert picked.during == ((0.5, 1.0), (2.0, math.inf)) and picked.changes == (0.5, 1.0, 2.0)
+
+
+@pytest.mark.parametrize("switches", [(0.5,), (2.0, 2.0), (3.0, 2.0), (math.nan,), (math.inf,)])
+def test_switches_that_do_not_increase_are_refused(switches: tuple[float, ...]) -> None:
+    with pytest.raises(ModelError, match="increasing times after `since`"):
+        effect("payload", "joint", since=1.0, switches=switches)
+
+
 # ------------------------------------------------------------------ refusals
 def test_what_makes_no_sense_is_refused_with_a_remedy() -> None:
     robot = make(PENDULUM)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from .robots import Robot
 
@@ -168,14 +169,18 @@ def law(effect: str) -> Law:
 
 @dataclass(frozen=True)
 class Planted:
-    """One effect put into the real machine; `since` [s] switches it on during the recording."""
+    """One effect put into the real machine; `since` [s] switches it on during the recording. A payload may be
+    put down, picked again and so on at `switches` [s]."""
 
     effect: str
     joint: str | None
     parameters: dict[str, object]
     since: float | None = None
+    switches: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.switches and self.effect != "payload":
+            raise ValueError(f"{self.effect} cannot be switched off during a recording; payload can")
         own = law(self.effect)
         given, valid = set(self.parameters), {*own.required, *own.defaults}
         if not set(own.required) <= given or not given <= valid:
@@ -194,6 +199,11 @@ class Planted:
     def start(self) -> float:
         """`since`, or before all time."""
         return -np.inf if self.since is None else self.since
+
+    def acts(self, times: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Whether it is switched on at times [s]."""
+        changes = np.array([self.start, *self.switches])
+        return np.sum(times[..., None] >= changes - 1e-9, axis=-1) % 2 == 1
 
     def value(self, name: str) -> float:
         return float({**law(self.effect).defaults, **self.parameters}[name])  # type: ignore[arg-type]

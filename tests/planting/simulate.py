@@ -163,7 +163,6 @@ def _closed_loop(
     values = {channel: np.zeros((ticks * substeps + 1, n)) for channel in MEASURED}
     motion = Motion(told.times[0], period / substeps, values)
     reading = Sensors(nominal, effects, sensors, ticks, rng)
-    gate_since = np.array([p.start for p in effects])
     drive = Drive(nominal, effects, told.tau_ff[0], ticks, substeps)
     tau_m, applied = np.zeros((ticks, n)), np.zeros((ticks * substeps + 1, n))
     after, modes = np.zeros((ticks, machine.x.size)), np.zeros((ticks, machine.modes.size))
@@ -171,7 +170,9 @@ def _closed_loop(
 
     machine.x[:n], machine.x[2 * n : 3 * n] = told.q_ref[0], told.theta_ref[0]
     steps = told.times[:, None] + np.arange(substeps) * machine.step  # (ticks, substeps) at their starts
-    on = (steps[:, :, None] >= gate_since - 1e-9).astype(float)
+    on = np.zeros((*steps.shape, len(effects)))
+    for k, planted in enumerate(effects):
+        on[:, :, k] = planted.acts(steps)
     least, most = -nominal.torque_limit, nominal.torque_limit
     for k in range(ticks):
         t, at, gates = told.times[k], k * substeps, on[k]

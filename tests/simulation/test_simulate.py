@@ -70,6 +70,24 @@ def test_an_effect_sets_in_at_its_time() -> None:
     np.testing.assert_allclose(resumed.q[-1], with_onset.q[-1], atol=1e-5)
 
 
+def test_a_load_is_put_down_and_picked_again() -> None:
+    torque, options = waves(1, 600, 1000), RunOptions(rate=1000.0)
+    numbers = {"mass": 1.0, "position": (0.0, 0.0, -0.5)}
+    bare = model_of()
+    held, placed, picked = (
+        model_of(effect("payload", "joint", switches=switches, **numbers))
+        for switches in ((), (0.2,), (0.2, 0.4))
+    )
+    always, once, twice = (rollout(m, bare.rest(), torque, options) for m in (held, placed, picked))
+    np.testing.assert_array_equal(once.q[:201], always.q[:201])
+    np.testing.assert_array_equal(twice.q[:401], once.q[:401])
+    assert np.max(np.abs(once.q[201:401] - always.q[201:401])) > 1e-3
+    # all but the scheme's memory of the last step goes on as without and with the load
+    for one, at, model in ((once, 200, bare), (twice, 400, held)):
+        resumed = rollout(model, one.state(at), torque[at:], options)
+        np.testing.assert_allclose(resumed.q[-1], one.q[-1], atol=1e-5)
+
+
 def test_a_sensor_effect_sets_in_at_its_time() -> None:
     model = model_of(replace(effect("motor_encoder_offset", "joint", offset=0.5), since=0.2))
     tape = rollout(model, model.rest(), waves(1, 400, 1000), RunOptions(rate=1000.0))

@@ -238,9 +238,9 @@ class Chains(Laws):
         phi_hat: np.ndarray,
         theta_hat: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """A change of K, D, B or D_m that sets in during the recording: its torque, gated in time."""
+        """A change of K, D, B or D_m that sets in during the recording, or ceases: its torque, gated."""
         s = self.jomega
-        gate = (self.t >= (e.since or 0.0)).astype(float)
+        gate = e.acts(self.t).astype(float)
         shaft = ((edited.B - drive.B) * s**2 + (edited.D_m - drive.D_m) * s) * theta_hat
         motor = motor - self.filter.spectrum(gate * self.time_series(shaft))
         if np.isfinite(drive.K):

@@ -179,7 +179,7 @@ class Laws:
         for e in gated:
             edited = e.effect.edit_drive(drive, e.p)
             more = ((edited.B - drive.B) * s**2 + (edited.D_m - drive.D_m) * s) * theta_hat
-            taken = taken + self.filter.spectrum((self.t >= (e.since or 0.0)) * self.time_series(more))
+            taken = taken + self.filter.spectrum(e.acts(self.t) * self.time_series(more))
         return np.asarray(taken)
 
     def along(self, effects: Sequence[Planned], signals: Signals) -> np.ndarray | float:
@@ -308,7 +308,7 @@ class Laws:
         return np.gradient(play(angle, width), self.period) if np.any(width > 0.0) else None
 
     def since(self, e: Planned, with_effect: np.ndarray, without: np.ndarray) -> np.ndarray:
-        return with_effect if e.since is None else np.where(self.t >= e.since, with_effect, without)
+        return with_effect if e.since is None else np.where(e.acts(self.t), with_effect, without)
 
     def filtered(self, x: np.ndarray) -> np.ndarray:
         return self.filter.spectrum(x) * self.filter.gain

@@ -32,7 +32,7 @@ def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.n
     late = np.where(x < SMALL, 0.5 - x / 6.0, (1.0 - mean) / divisor)  # share of the drive at the step's end
     add = period * ((mean - late) * offset + late * np.append(offset[1:], offset[-1:]))
     if e.since is not None and not e.effect.overrides("steady_state"):
-        asleep = signals.t < e.since
+        asleep = ~e.acts(signals.t)
         keep, add = np.where(asleep, 1.0, keep), np.where(asleep, 0.0, add)
     return stepped(float(e.effect.steady_state(first, p)), keep, add)
 

@@ -38,10 +38,11 @@ class OpenModel:
         self.estimator = StateEstimator(recording, self.model)
         self.phases = [time for time, _ in self.model.phases]
         loads = [link_load(joint.name) for joint in robot.joints]
-        self._symbolic = [
-            SymbolicModel(robot, [*at_work, *loads], free=("drives",), at=max(time, -1.0))
-            for time in self.phases
-        ]
+
+        def symbolic(time: float) -> SymbolicModel:
+            return SymbolicModel(robot, [*at_work, *loads], free=("drives",), at=max(time, -1.0))
+
+        self._symbolic = [model for _, model in self.model.by_phase(symbolic)]
         self._parameters = self._symbolic[0].parameters
         self.nominal = open_numbers(robot, problem, free_offsets)
         self.slot_labels = [slot_label(effects, slot) for slot in slots]
@@ -60,7 +61,7 @@ class OpenModel:
         self.measured = np.stack([recording.get(*key) for key in self.keys], axis=1)
         self.delays = Delays(self._symbolic[0], self.keys, self.varied)
         self.by_common = self._by_common()  # (varied, common numbers)
-        self._derivatives: dict[int, StepDerivatives] = {}
+        self._derivatives: dict[int, StepDerivatives] = {}  # by the first phase in which the same effects act
 
     @property
     def common(self) -> int:
@@ -69,6 +70,7 @@ class OpenModel:
 
     def derivatives(self, phase: int) -> StepDerivatives:
         """Of one step in a phase."""
+        phase = self._symbolic.index(self._symbolic[phase])
         if phase not in self._derivatives:
             seconds = float(np.ptp(self.problem.readings.recording.time))
             names = [".".join(key) for key in self.keys]

@@ -411,17 +411,19 @@ def changes_noise(e: Planned) -> bool:
     """Whether an effect changes how the sensors' noise enters the balances."""
     if e.effect.site is Site.SENSOR:
         return not np.isclose(sensor_slope(e), 1.0, atol=0.01)
-    return e.effect.overrides("edit_drive") or e.effect.overrides("edit_inertial")
+    drives = e.effect.overrides("edit_drive") and not e.effect.for_rigid
+    return drives or e.effect.overrides("edit_inertial")
 
 
 def shapes_noise(e: Planned, balances: Balances) -> bool:
     """Whether an effect that is evaluated on the recording as it is would change its noise: one that changes
-    the balances' noise, a limit that clips the peaks of a noisy torque, or a law by which a joint is
-    stiffer at some deflections than at others, whose noise then is more torque."""
+    the balances' noise, a limit that clips the peaks of a noisy torque, a law by which a joint is stiffer at
+    some deflections than at others, whose noise then is more torque, or a joint that bends, whose link does
+    not follow its encoder's noise: with less noise than predicted that would fit any recording better."""
     if e.effect.site is Site.COMMAND and not e.effect.overrides("delay") and e.joint is not None:
         joint = balances.motion.robot.joint_names.index(e.joint)
         return bool(balances.motion.readings.noise["torque"][joint] > 0.0)
-    return changes_noise(e) or e.effect.overrides("slope")
+    return changes_noise(e) or e.effect.overrides("slope") or e.effect.for_rigid
 
 
 def _drive(joint: Joint, effects: Sequence[Planned]) -> Drive:

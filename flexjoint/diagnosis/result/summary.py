@@ -21,6 +21,7 @@ from flexjoint.diagnosis.result.wording import (
     number,
     percent,
     sentence,
+    when,
 )
 
 CHANNELS, JOINTS = 8, 12  # rows of the two error tables; the JSON and the report hold all
@@ -78,7 +79,7 @@ def _causes(title: str, findings: Sequence[Finding], joints: Joints) -> Iterator
         where = clean(finding.joint) if finding.joint is not None else "whole robot"
         lines = [f"{clean(name)} {fitted(value)}" for name, value in finding.parameters.items()]
         if finding.since is not None:
-            lines.append(f"since t = {finding.since:.4g} s")
+            lines.append(when(finding))
         rows.append(
             (
                 f"{effect_name(finding.effect)}\n{where}",

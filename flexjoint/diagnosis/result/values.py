@@ -82,7 +82,7 @@ class Finding:
     joint: str | None
     probability: float
     parameters: Mapping[str, Fitted | str]
-    since: float | None
+    since: float | None  # [s] on the recording's clock, the start of it where it ceases later
     gain: float  # share of the held-out error that it removes
     kind: str
     planned: Planned
@@ -93,6 +93,7 @@ class Finding:
     left: float = 1.0  # largest variance left in the balances that it touches, in that of the noise
     reliability: float = 1.0  # how often names that leave so much were right; part of `probability`
     removed: Removed | None = None
+    during: tuple[tuple[float, float | None], ...] = ()  # [s] of one that ceases: from, to (None: goes on)
 
 
 @dataclass(frozen=True)
@@ -525,6 +526,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "probability": finding.probability,
         "parameters": parameters,
         "since": finding.since,
+        "during": [list(span) for span in finding.during] or None,
         "gain": finding.gain,
         "kind": finding.kind,
         "hidden_by_refit": finding.hidden_by_refit,

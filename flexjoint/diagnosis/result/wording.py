@@ -13,6 +13,7 @@ from flexjoint.effects import Kind, catalogue
 from flexjoint.recording.table import UNITS
 from flexjoint.robot.robot import Robot
 
+MOST_SPANS = 4  # of time that are listed one by one
 SIGNALS: Mapping[str, tuple[str, str]] = {
     "t": ("time", "s"),
     "q": ("link position q", "rad"),
@@ -203,5 +204,15 @@ def deviation(effect: str, value: float, prismatic: bool = False) -> str:
     return with_unit(number(value), known.params[0].unit_at(prismatic) if known and known.params else "")
 
 
-def onset(since: float | None) -> str:
-    return "the start of the recording" if since is None else f"t = {since:.4g} s"
+def when(finding: Finding) -> str:
+    """When a cause acts: always, since a time, or in some spans."""
+    if not finding.during:
+        return (
+            "since the start of the recording"
+            if finding.since is None
+            else f"since t = {finding.since:.4g} s"
+        )
+    spans = [f"since {a:.4g} s" if b is None else f"{a:.4g} to {b:.4g} s" for a, b in finding.during]
+    if len(spans) <= MOST_SPANS:
+        return f"at t = {listed(spans)}"
+    return f"{len(spans)} times, first at t = {spans[0]}, last at t = {spans[-1]}"

@@ -44,7 +44,7 @@ def prices(result: Fit) -> list[float]:
             out.append(limits.price_number)
             continue
         first = limits.price if own_number(result.problem, e) is None else limits.price_nominal
-        out.append(first + limits.price_number * max(0, numbers[k] + (e.since is not None) - 1))
+        out.append(first + limits.price_number * max(0, numbers[k] + len(e.changes) - 1))
     return out
 
 

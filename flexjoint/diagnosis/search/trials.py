@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,7 +26,8 @@ from flexjoint.diagnosis.search.criteria import (
     supported,
     torque_shares,
 )
-from flexjoint.diagnosis.search.scan import Scanner, Scored, onset_margin
+from flexjoint.diagnosis.search.dating import date_onset, switched
+from flexjoint.diagnosis.search.scan import Scanner, Scored
 from flexjoint.effects import Kind, Planned
 
 
@@ -376,31 +376,8 @@ def added_to(current: Fit, scored: Scored) -> Fit | None:
     """A set with a candidate added, fitted and dated, causes within other joints as they are; None where its
     fitted numbers mean nothing (`degenerate`)."""
     planned = scored.planned()
-    fitted = date_onset(fit(current.problem, [*current.effects, planned], tried=planned))
+    fitted = switched(date_onset(fit(current.problem, [*current.effects, planned], tried=planned)))
     return None if degenerate(current.problem, fitted.effects[-1]) else fitted
-
-
-def date_onset(result: Fit) -> Fit:
-    """Refine the onset of the last effect, or drop the onset: where the effect without one fits nearly as
-    well, and where the onset is too near to an end of the recording to be seen."""
-    added = result.effects[-1]
-    if added.since is None:
-        return result
-    problem, limits = result.problem, result.settings.search
-    always = fit(problem, [*result.effects[:-1], replace(added, since=None)], tried=added)
-    for steps in limits.onset_steps:
-        moved = _moved_onset(result, steps)
-        if moved != result.effects[-1].since:
-            later = replace(result.effects[-1], since=moved)
-            trial = fit(problem, [*result.effects[:-1], later], tried=added)
-            if trial.energy < result.energy:
-                result = trial
-    end, since = float(problem.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
-    margin = onset_margin(end, limits)
-    if not margin <= since <= end - margin:
-        return always
-    granted = limits.undated * max(0.0, always.energy - result.energy)
-    return always if score(always) < score(result) + granted else result
 
 
 def settled(result: Fit, tried: Planned | None = None) -> Fit:
@@ -409,27 +386,5 @@ def settled(result: Fit, tried: Planned | None = None) -> Fit:
     refitted = at_own_level(result, tried)
     if refitted.effects[-1].since is None or same_level(refitted.problem.level, result.problem.level):
         return refitted
-    dated = date_onset(refitted)
+    dated = switched(refitted) if refitted.effects[-1].switches else date_onset(refitted)
     return refitted if dated is refitted else at_own_level(dated, tried)
-
-
-def _moved_onset(result: Fit, steps: Sequence[float]) -> float:
-    """The onset of the last effect at which the energy is least, searched in smaller and smaller steps, with
-    all numbers fixed."""
-    problem, added = result.problem, result.effects[-1]
-    end = float(problem.balances.chains.t[-1])
-
-    def energy(since: float) -> float:
-        if not 0.0 < since < end:
-            return np.inf
-        return problem.energy(problem.residual([*result.effects[:-1], replace(added, since=since)]))
-
-    best = float(added.since or 0.0)
-    least = energy(best)
-    for step in steps:
-        start = best
-        for sign in (-1.0, 1.0):
-            if best == start:  # it is on one side
-                while (there := energy(best + sign * step)) < least:
-                    least, best = there, best + sign * step
-    return best

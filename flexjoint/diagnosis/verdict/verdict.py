@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -17,6 +18,7 @@ from flexjoint.diagnosis.search.criteria import (
 )
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
+from flexjoint.diagnosis.signals.signals import Readings
 from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability, where_held
 from flexjoint.diagnosis.verdict.ties import preferred, special_cases, ties
 from flexjoint.diagnosis.verdict.unseen.torques import Unseen, friction, remaining, removed, spoils
@@ -75,7 +77,7 @@ def findings(
                 _parameters(
                     planned, (spread or {}).get(planned.key, errors[k]), listed, planned.joint in sliding
                 ),
-                None if planned.since is None else planned.since + best.problem.readings.start,
+                _since(planned, best.problem.readings),
                 gains[k],
                 str(planned.effect.kind),
                 planned,
@@ -85,9 +87,23 @@ def findings(
                 left=left,
                 reliability=believed,
                 removed=cleared[k],
+                during=_during(planned, best.problem.readings),
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain))
+
+
+def _since(planned: Planned, readings: Readings) -> float | None:
+    """[s] when an effect set in, on the recording's clock; None where it was always there."""
+    return None if planned.since is None else readings.start + max(planned.since, 0.0)
+
+
+def _during(planned: Planned, readings: Readings) -> tuple[tuple[float, float | None], ...]:
+    """[s] when an effect acts that ceases during the recording, on that recording's clock."""
+    if not planned.switches:
+        return ()
+    start = readings.start
+    return tuple((start + max(a, 0.0), start + b if math.isfinite(b) else None) for a, b in planned.during)
 
 
 def _rubs_more(best: Fit, planned: Planned) -> bool:

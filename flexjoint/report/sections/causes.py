@@ -13,9 +13,9 @@ from flexjoint.diagnosis.result.wording import (
     effect_name,
     fitted,
     listed,
-    onset,
     percent,
     sentence,
+    when,
 )
 from flexjoint.report import plots
 from flexjoint.report.material import Material
@@ -41,7 +41,7 @@ class Cause:
     parameters: tuple[ParameterLine, ...]
     probability: str
     removal: torque.Removal | None
-    since: str
+    when: str
     kind: str
     change: bool  # the nominal model lists this effect: the parameters are the change
     law: plots.Image | None
@@ -86,7 +86,7 @@ def _cause(finding: Finding, joints: Joints) -> Cause:
         ),
         probability=percent(finding.probability),
         removal=torque.removal(finding, joints),
-        since=onset(finding.since),
+        when=capital(when(finding)),
         kind=clean(finding.kind),
         change=finding.planned.nominal,
         law=plots.formula(effect.law) if effect.law else None,

@@ -142,7 +142,7 @@ def _joint(material: Material, before: Comparison, joint: str, channels: list[st
                     None if improved is None else improved - measured,
                     channel,
                     (start, stop),
-                    _onset(material, joint),
+                    _changes(material, joint),
                     prismatic,
                     f"Error of the {name} of {clean(joint)} over the whole recording; RMS {rms} before",
                 ),
@@ -159,6 +159,10 @@ def _after(material: Material, channel: str, joint: str, time: np.ndarray) -> np
     return values if np.array_equal(after.time, time) else np.interp(time, after.time, values)
 
 
-def _onset(material: Material, joint: str) -> float | None:
-    since = [f.since for f in material.diagnosis.findings if f.since is not None and f.joint in (joint, None)]
-    return since[0] if since else None
+def _changes(material: Material, joint: str) -> tuple[float, ...]:
+    """Times [s] at which the first cause of a joint sets in or ceases that was not always there."""
+    dated = [f for f in material.diagnosis.findings if f.since is not None and f.joint in (joint, None)]
+    if not dated:
+        return ()
+    spans = dated[0].during or ((dated[0].since, None),)
+    return tuple(t for span in spans for t in span if t is not None)

@@ -83,7 +83,7 @@ class DriverRun(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Phase:
-    """The program of one span of time between onsets of effects."""
+    """The program of the spans of time in which the same effects act."""
 
     program: Program
     library: ctypes.CDLL
@@ -162,9 +162,8 @@ class CompiledModel:
         longest = longest_delay(model)
         self.history = math.ceil(longest * rate - 1e-9) + 1 if longest > 0.0 else 0
         self._late = any(flow.max_command_delay > 0.0 for _, phase in model.phases for flow in phase.flows)
-        times = (-math.inf, *model.onsets) if model.onsets else (math.inf,)
-        phases: list[Phase] = []
-        for at in times:
+
+        def made(at: float | None) -> Phase:
             symbolic = SymbolicModel(
                 model.robot,
                 model.effects,
@@ -175,10 +174,12 @@ class CompiledModel:
             )
             program = write_program(symbolic, options, law, references, many)
             self.compiler, loaded = _load(program, compiler)
-            phases.append(Phase(program, loaded, _delays(symbolic, program)))
-        self.phases = tuple(phases)
-        self.program = phases[0].program
-        self.lanes: int = phases[0].library.flexjoint_lanes()
+            self.parameters: tuple[str, ...] = symbolic.parameters
+            return Phase(program, loaded, _delays(symbolic, program))
+
+        self.phases = tuple(phase for _, phase in model.by_phase(made)) if model.onsets else (made(None),)
+        self.program = self.phases[0].program
+        self.lanes: int = self.phases[0].library.flexjoint_lanes()
         self.delayed = any(
             flow.max_reading_delay(channel) > 0.0
             for _, phase in model.phases
@@ -186,7 +187,6 @@ class CompiledModel:
             for channel in self.program.reads
         ) or (bool(self.program.reads) and model.robot.file.sensing_delay > 0.0)
         self._sensing = model.robot.file.sensing_delay
-        self.parameters: tuple[str, ...] = symbolic.parameters
 
     # --- jobs ------------------------------------------------------------------------------------
     def values(
@@ -358,7 +358,7 @@ class RatesProgram:
     Raises CompilerError; ModelError where the structure has no symbolic model.
     """
 
-    def __init__(self, model: FlexibleJointModel, at: float, compiler: Compiler | None = None) -> None:
+    def __init__(self, model: FlexibleJointModel, at: float | None, compiler: Compiler | None = None) -> None:
         symbolic = SymbolicModel(model.robot, model.effects, free=RATES_FREE, at=at, springs=model.springs)
         x, width = ca.SX.sym("x", symbolic.model.nx), ca.SX.sym("width")
         r = symbolic.model.rates(symbolic.model.unpack(x, symbolic.t), symbolic.u, width)

@@ -30,7 +30,7 @@ class CompiledRates(FlexibleJointModel):
     Raises as RatesProgram.
     """
 
-    def __init__(self, model: FlexibleJointModel, at: float = math.inf) -> None:
+    def __init__(self, model: FlexibleJointModel, at: float | None = None) -> None:
         super().__init__(model.robot, model.effects, at=at, springs=model.springs)
         self._program = rates_for(self, at)
         self._constants = self._program.constants(self)
@@ -47,7 +47,7 @@ class CompiledRates(FlexibleJointModel):
         """As FlexibleJointModel.phases, compiled as well."""
         if not self.onsets:
             return ((-math.inf, self),)
-        return tuple((t, CompiledRates(self, t)) for t in (-math.inf, *self.onsets))
+        return self.by_phase(lambda t: CompiledRates(self, t))
 
     @property
     def compiler(self) -> Compiler:

@@ -43,7 +43,7 @@ def compiled_for(
     return _shared(key, make)
 
 
-def rates_for(model: FlexibleJointModel, at: float) -> RatesProgram:
+def rates_for(model: FlexibleJointModel, at: float | None) -> RatesProgram:
     """The compiled right-hand side of this structure, made if need be; errors as for RatesProgram."""
     key = (*_structure(model, ("rates",), None, (), RATES_FREE), at)
     return _shared(key, lambda: RatesProgram(model, at))
@@ -75,7 +75,12 @@ def _structure(
         for j in model.joints
     )
     effects = tuple(
-        (*item.key, tuple(getattr(item.p, word.name) for word in item.effect.words), item.since)
+        (
+            *item.key,
+            tuple(getattr(item.p, word.name) for word in item.effect.words),
+            item.since,
+            item.switches,
+        )
         for item in model.effects
     )
     control = None

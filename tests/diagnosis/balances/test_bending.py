@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planting import PERFECT, ROBOTS, Planted, plant
+from planting import PERFECT, ROBOTS, Planted, SensorSet, plant
+from planting.robots import read_robot
 from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances, balances_of
@@ -112,3 +113,18 @@ def test_a_scan_starts_near_it(balances: TwinBalances) -> None:
     (best, *_others) = Scanner(candidates).scan(fit(problem, []))
     found, true = best.planned().values["compliance"], true_spring().values["compliance"]
     assert best.since is None and 0.5 * true < found < 2.0 * true
+
+
+@pytest.mark.parametrize("seed", [81, 85])
+def test_nearly_no_compliance_is_judged_as_none(seed: int) -> None:
+    """What bends lets no encoder noise through to the link: by the noise predicted of a rigid joint, one that
+    hardly bends had fitted a rigid machine's noise better or worse by tens of units of energy."""
+    path = ROBOTS / "lever.yaml"
+    real = replace(read_robot(path), stiffness=np.array([math.inf]), damping=np.zeros(1))
+    recorded = plant(
+        path, [], "rich", 8.0, seed, SensorSet(channels=("theta", "tau_motor")), 250.0, real=real
+    )
+    problem = Problem(balances_of(taken_as_rigid(nominal("lever"), "swing"), as_recording(recorded)))
+    bent = effect("joint_compliance", "swing", compliance=1e-6, relaxation=3e-3)
+    without, beside = fit(problem, []), fit(problem, [bent], iterations=0)
+    assert beside.energy == pytest.approx(without.energy, abs=2.0)

@@ -17,7 +17,7 @@ from flexjoint.diagnosis.regression.deviations import deviation_effects, judged_
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Estimation, Finding, Fitted
-from flexjoint.diagnosis.search import criteria, trials
+from flexjoint.diagnosis.search import criteria, dating, trials
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
 from flexjoint.diagnosis.search.criteria import (
     _between_samples,
@@ -30,8 +30,9 @@ from flexjoint.diagnosis.search.criteria import (
     supported,
     unexplained_energy,
 )
+from flexjoint.diagnosis.search.dating import date_onset
 from flexjoint.diagnosis.search.scan import Scanner
-from flexjoint.diagnosis.search.trials import date_onset, might_matter, settled
+from flexjoint.diagnosis.search.trials import might_matter, settled
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.verdict.checks.finer import finer
 from flexjoint.effects import Planned, effect
@@ -126,7 +127,7 @@ def test_an_onset_is_found_in_a_few_fits(monkeypatch: pytest.MonkeyPatch) -> Non
         count += 1
         return fit(*given, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(trials, "fit", counted)
+    monkeypatch.setattr(dating, "fit", counted)
     dated = date_onset(begun)
 
     assert dated.effects[0].since == pytest.approx(5.9, abs=0.05)

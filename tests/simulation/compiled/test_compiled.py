@@ -90,6 +90,7 @@ def test_onsets_delays_and_several_steps_per_tick_agree() -> None:
         replace(effect("motor_coulomb_friction", "roll", level=2.0), since=0.3),
         replace(effect("sensor_delay", "yaw", delay=0.0033), since=0.4),
         replace(effect("torque_delay", "pitch", delay=0.0043), since=0.5),
+        effect("payload", "yaw", since=0.25, switches=(0.45, 0.55), mass=1.0, position=(0.1, 0.0, 0.0)),
     ]
     rates = {"physics": 2000, "control": 500}
     loops_agree(make(SPATIAL, sensing_delay=0.0021, rates=rates), late, 2000.0)

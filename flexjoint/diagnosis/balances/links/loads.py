@@ -44,5 +44,5 @@ class Loads:
             if e.effect.overrides("edit_gravity"):
                 turned = np.array(e.effect.edit_gravity(list(rigid.gravity), p)) - rigid.gravity
                 torque = torque + np.einsum("a,ajt->jt", turned, rigid.by_gravity)
-            change = change + (torque if e.since is None else torque * (self._t >= e.since))
+            change = change + (torque if e.since is None else torque * e.acts(self._t))
         return change
