@@ -21,7 +21,7 @@ from flexjoint.diagnosis.regression.deviations import about_likely_links
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors
 from flexjoint.diagnosis.result import DataFinding, Diagnosis, Finding, Remaining, Step, Unexplained
-from flexjoint.diagnosis.result.wording import signal_name
+from flexjoint.diagnosis.result.wording import effect_name, signal_name
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.history import steps_between
 from flexjoint.diagnosis.search.robust_search import JointwiseProblem, search_robustly
@@ -295,7 +295,7 @@ def _diagnosis(
     selection, best = case.selection, case.selection.best
     named, estimation = case.estimated
     limits, joints = task.settings.verdict, case.remaining
-    found = verdict.merged(named, candidates, limits)
+    found = verdict.merged(named, candidates, best.problem.nominal, limits)
     rigid = all(joint.rigid for joint in case.robot.joints)
     shaped = standing_out(joints, limits)
     kind, reason = _verdict(found, case.left, case.explained, shaped, limits, rigid, bool(selection.left_out))
@@ -332,7 +332,8 @@ def _kept(found: Sequence[Finding]) -> tuple[Step, ...]:
     out = []
     for f in found:
         for member in f.members:
-            text = f"{member} is one cause of the robot, which all its joints with the sensor share"
+            shared = f"{member} is one cause of the robot, which all its joints with the sensor share"
+            text = shared if f.joint is None else f"{member}: {effect_name(f.effect)} {f.note}"
             out.append(
                 Step(
                     "verdict",

@@ -101,7 +101,9 @@ def _of_diagnosis(content: Mapping[str, Any], robot: Robot, source: str) -> Know
             for name, given in entry["parameters"].items()
             if not isinstance(given, str)
         }
-        own = [replace(e, std=std) for e in planned_of(robot, entry)]
+        own = [
+            replace(e, std=std if e.effect.name == entry["effect"] else {}) for e in planned_of(robot, entry)
+        ]
         causes += own
         if entry["probability"] >= USUAL.verdict.likely:
             named |= {e.key for e in own}
@@ -157,7 +159,8 @@ def _no_number(word: str) -> NoReturn:
 
 
 def planned_of(robot: Robot, entry: Mapping[str, Any]) -> tuple[Planned, ...]:
-    """A finding of the JSON as effects: on every joint where the finding is one of the robot."""
+    """A finding of the JSON as effects: on every joint where the finding is one of the robot, and with the
+    change of what it is in the place of."""
     values: dict[str, Any] = {
         name: given if isinstance(given, str) else given["value"]
         for name, given in entry["parameters"].items()
@@ -172,7 +175,8 @@ def planned_of(robot: Robot, entry: Mapping[str, Any]) -> tuple[Planned, ...]:
         out.append(
             Planned.of(effect, joint, {k: tuple(v) if isinstance(v, list) else v for k, v in total.items()})
         )
-    return tuple(out)
+    other = entry.get("instead_of")
+    return (*out, *(planned_of(robot, other) if other is not None else ()))
 
 
 def keys_of(robot: Robot, effect: str, joint: str | None) -> tuple[Key, ...]:

@@ -78,6 +78,8 @@ def _causes(title: str, findings: Sequence[Finding], joints: Joints) -> Iterator
     for finding in findings:
         where = clean(finding.joint) if finding.joint is not None else "whole robot"
         lines = [f"{clean(name)} {fitted(value)}" for name, value in finding.parameters.items()]
+        if finding.instead_of is not None:
+            lines.append(finding.note)
         if finding.since is not None:
             lines.append(when(finding))
         rows.append(

@@ -94,6 +94,7 @@ class Finding:
     reliability: float = 1.0  # how often names that leave so much were right; part of `probability`
     removed: Removed | None = None
     during: tuple[tuple[float, float | None], ...] = ()  # [s] of one that ceases: from, to (None: goes on)
+    instead_of: Finding | None = None  # the change of the nominal entry in whose place it is
 
 
 @dataclass(frozen=True)
@@ -513,18 +514,26 @@ def _estimation(estimation: Estimation) -> dict[str, Any]:
     }
 
 
-def _finding(finding: Finding) -> dict[str, Any]:
+def _parameters(finding: Finding) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
     for name, fitted in finding.parameters.items():
         if isinstance(fitted, str):
             parameters[name] = fitted
         else:
             parameters[name] = {"value": _plain(fitted.value), "std": _plain(fitted.std), "unit": fitted.unit}
+    return parameters
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    other = finding.instead_of
     return {
         "effect": finding.effect,
         "joint": finding.joint,
         "probability": finding.probability,
-        "parameters": parameters,
+        "parameters": _parameters(finding),
+        "instead_of": None
+        if other is None
+        else {"effect": other.effect, "joint": other.joint, "parameters": _parameters(other)},
         "since": finding.since,
         "during": [list(span) for span in finding.during] or None,
         "gain": finding.gain,

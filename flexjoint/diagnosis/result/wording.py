@@ -176,8 +176,9 @@ def fitted(parameter: Fitted | str) -> str:
 
 
 def parameters(finding: Finding) -> str:
-    """All parameters of a finding in one line."""
-    return ", ".join(f"{clean(name)} {fitted(value)}" for name, value in finding.parameters.items())
+    """All parameters of a finding in one line, and in the place of what it is."""
+    text = ", ".join(f"{clean(name)} {fitted(value)}" for name, value in finding.parameters.items())
+    return text if finding.instead_of is None else f"{text}, {finding.note}"
 
 
 def values(effect: str, given: Mapping[str, Any], prismatic: bool = False) -> str:

@@ -19,6 +19,7 @@ from flexjoint.diagnosis.search.criteria import (
 from flexjoint.diagnosis.search.selection import Key, Selection
 from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.signals.signals import Readings
+from flexjoint.diagnosis.verdict.instead import paired
 from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability, where_held
 from flexjoint.diagnosis.verdict.ties import preferred, special_cases, ties
 from flexjoint.diagnosis.verdict.unseen.torques import Unseen, friction, remaining, removed, spoils
@@ -117,11 +118,14 @@ def _rubs_more(best: Fit, planned: Planned) -> bool:
 
 
 def merged(
-    found: Sequence[Finding], candidates: Sequence[Candidate], settings: VerdictSettings
+    found: Sequence[Finding],
+    candidates: Sequence[Candidate],
+    nominal: Sequence[Planned],
+    settings: VerdictSettings,
 ) -> tuple[Finding, ...]:
     """The findings, with a timing cause that all joints with that sensor have, with equal values, as one
-    finding of the robot."""
-    out = list(found)
+    finding of the robot, and a law that takes the place of a nominal one as one finding of the joint."""
+    out = list(paired(found, nominal))
     groups: dict[object, list[Finding]] = {}
     for f in found:
         if f.kind == Kind.TIMING and f.joint is not None:

@@ -20,6 +20,7 @@ from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.regression.recorded import Recorded
 from flexjoint.diagnosis.result import Remaining, Removed
 from flexjoint.diagnosis.settings import USUAL, Settings, VerdictSettings
+from flexjoint.diagnosis.verdict import instead
 from flexjoint.diagnosis.verdict.residuals import NEIGHBOURS, smooth_curve
 from flexjoint.diagnosis.verdict.unseen.simulation import held_out_blocks
 from flexjoint.effects import Planned, Signals, Site
@@ -121,7 +122,7 @@ def _view(
         away(problem),
         before,
         left(effects),
-        tuple(left([e for e in effects if e is not one]) for one in effects),
+        tuple(left(instead.without(one, effects, problem.nominal)) for one in effects),
         {
             joint: left([e for e in effects if not (e.effect.ordinary and e.joint == joint)])
             for joint in rubbing

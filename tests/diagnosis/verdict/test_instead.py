@@ -1,0 +1,69 @@
+"""A law in the place of one that the robot file lists: one cause, measured against the listed law."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import pytest
+from planting import Planted
+from support.diagnose_cases import Case, as_recording, nominal, summary
+
+from flexjoint.diagnosis.pipeline import diagnose
+from flexjoint.diagnosis.result import Diagnosis
+from flexjoint.diagnosis.result.known import planned_of
+from flexjoint.diagnosis.result.values import to_json
+from flexjoint.diagnosis.result.wording import parameters
+from flexjoint.diagnosis.verdict.instead import given_up_for, without
+from flexjoint.effects import effect
+from flexjoint.robot.robot import Robot
+
+LEVEL, SCALE = 6.0, 0.05
+COULOMB = effect("motor_coulomb_friction", "swing", level=LEVEL, nominal=True)
+
+
+def claiming() -> Robot:
+    return nominal("lever").extended([COULOMB])
+
+
+@cache
+def presliding() -> Diagnosis:
+    case = Case("lever", "rich", 91)
+    dahl = Planted("dahl_friction", "swing", {"level": LEVEL, "scale": SCALE})
+    return diagnose(claiming(), as_recording(case.with_causes(dahl), case.name))
+
+
+def test_presliding_friction_where_the_file_claims_coulomb_friction_is_one_cause() -> None:
+    (found,) = (f for f in presliding().findings if f.probability > 0.5)
+    assert found.effect == "dahl_friction", summary(presliding())
+    assert found.parameters["level"].value == pytest.approx(LEVEL, rel=0.05)
+    assert found.instead_of is not None and found.instead_of.effect == "motor_coulomb_friction"
+    assert "in the place of motor Coulomb friction (6 → " in parameters(found)
+    assert found.removed is not None  # against the claim, not against a joint without friction
+    before = next(one.before for one in presliding().remaining if one.joint == "swing")
+    assert found.removed.without == pytest.approx(before, rel=0.1)
+
+
+def test_the_extended_model_and_the_json_hold_both() -> None:
+    robot = claiming()
+    extended = presliding().extend(robot)
+    totals = {e.effect.name: e.values["level"] for e in extended.effects}
+    assert totals["dahl_friction"] + totals["motor_coulomb_friction"] == pytest.approx(LEVEL, rel=0.05)
+    entry = json.loads(json.dumps(to_json(presliding())))["findings"][0]
+    read = {e.effect.name: e.values["level"] for e in planned_of(robot, entry)}
+    assert read == pytest.approx(totals)
+
+
+def test_what_makes_room_for_what() -> None:
+    dahl = effect("dahl_friction", "swing", level=5.0, scale=SCALE)
+    less, more = (replace(COULOMB, values={"level": level}, nominal=False) for level in (1.0, 7.0))
+    elsewhere = replace(less, joint="other")
+    assert given_up_for(dahl, [dahl, less], [COULOMB]) is less
+    assert given_up_for(dahl, [dahl, more], [COULOMB]) is None  # more friction is a cause of its own
+    assert given_up_for(dahl, [dahl, less], []) is None  # nothing was claimed
+    assert given_up_for(dahl, [dahl, elsewhere], [COULOMB]) is None
+    assert given_up_for(less, [dahl, less], [COULOMB]) is None
+    for one in (dahl, less):
+        assert without(one, [dahl, less, elsewhere], [COULOMB]) == [elsewhere]
+    assert without(more, [dahl, more], [COULOMB]) == [dahl]
