@@ -159,7 +159,8 @@ class Robot:
         """Write the robot as YAML from which its description resolves, whole or not at all.
 
         docs/reference/formats.md has the keys. The onset (`since`) of an effect belongs to a recording and is
-        not written. Raises RobotError of a robot that was made of a pin.Model, which no file could name.
+        not written, nor is an effect that comes and goes (`switches`). Raises RobotError of a robot that was
+        made of a pin.Model, which no file could name.
         """
         write(self, path)
 
@@ -566,7 +567,8 @@ def _lock(full: pin.Model, file: schema.RobotFile, known: Collection[str], path:
 def write(robot: Robot, path: str | os.PathLike[str]) -> None:
     """Write the robot as YAML such that its URDF resolves from there; the file appears whole or not at all.
 
-    The onset (`since`) of an effect belongs to a recording and is not written.
+    The onset (`since`) of an effect belongs to a recording and is not written; nor is an effect that comes
+    and goes (`switches`), as a load that is picked and placed: the file is of the robot without it.
     """
     out = Path(path)
     if robot.urdf is None or robot.path is None:
@@ -582,6 +584,8 @@ def write(robot: Robot, path: str | os.PathLike[str]) -> None:
         raw["package_dirs"] = [_relative(robot.path.parent / d, out.parent) for d in robot.file.package_dirs]
     entries = []
     for planned in robot.effects:
+        if planned.switches:
+            continue
         values = {k: _plain(v) for k, v in planned.p._asdict().items() if v is not None}
         entry: dict[str, Any] = {"effect": planned.effect.name}
         if planned.joint is not None:

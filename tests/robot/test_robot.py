@@ -206,6 +206,15 @@ def test_what_is_written_elsewhere_is_the_same_robot(tmp_path: Path) -> None:
     assert read.file.offsets == "per_recording" and read.joint("elbow").drive == nominal.joint("elbow").drive
 
 
+def test_a_load_that_comes_and_goes_is_not_written(tmp_path: Path) -> None:
+    nominal = robot.load(file(tmp_path))
+    picked = effect("payload", "elbow", since=1.0, switches=(2.0,), mass=0.3)
+    tilt = effect("base_tilt", roll=0.01)
+    path = tmp_path / "extended.yaml"
+    robot.write(nominal.extended([picked, tilt]), path)
+    assert [law.key for law in robot.load(path).effects] == [tilt.key]
+
+
 def test_an_effect_that_is_listed_already_is_replaced(tmp_path: Path) -> None:
     nominal = robot.load(file(tmp_path, effects=[{**GAP, "nominal": True}]))
     (law,) = nominal.extended([effect("backlash", "elbow", gap=0.03)]).effects

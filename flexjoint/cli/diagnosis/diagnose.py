@@ -113,10 +113,13 @@ def written(diagnosis: Diagnosis, asked: Asked, least: float) -> Iterator[str]:
     left = [finding for finding in diagnosis.findings if finding not in kept]
     names = listed(f"{cause(f.effect, f.joint)} ({percent(f.probability)})" for f in left)
     for path in asked.paths():
+        line = f"wrote {escaped(str(path))}"
         if path == asked.model and left:
-            yield (
-                f"wrote {escaped(str(path))} without {names}, less likely than {percent(least)}; --all-causes"
+            line += (
+                f" without {names}, less likely than {percent(least)}; --all-causes"
                 f" puts {'it' if len(left) == 1 else 'them'} in"
             )
-        else:
-            yield f"wrote {escaped(str(path))}"
+        yield line
+        going = [cause(f.effect, f.joint) for f in kept if f.during]
+        if path == asked.model and going:
+            yield f"{escaped(str(path))} is of the robot without {listed(going)}, which comes and goes"

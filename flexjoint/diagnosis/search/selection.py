@@ -303,9 +303,11 @@ def with_common(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> list[
         if len(group) == 1:
             continue
         group.sort(key=lambda e: names.index(str(e.joint)))
-        larger = prune(at_own_level(fit(best.problem, [*best.effects, *group])), pool)
-        alike = _of_one_value(larger, older)
-        if alike is not None:
+        together = at_own_level(fit(best.problem, [*best.effects, *group]))
+        # the others are asked only where that leaves a common cause, which is seldom
+        standing = {e.key: _neighbours(together, e) for e in together.effects if e.key in older}
+        alike = _of_one_value(prune(together, pool, standing), older)
+        if alike is not None and (alike := _of_one_value(prune(alike, pool), older)) is not None:
             found.append(alike)
     return found
 
@@ -544,8 +546,29 @@ def prune(result: Fit, pool: WorkerPool, standing: Mapping[Key, frozenset[Key]] 
         smaller = [f for f in without if f is not None]
         if not smaller:
             return result
-        result = min(smaller, key=score)
+        result = _all_dropped(result, smaller)
     return result
+
+
+def _all_dropped(result: Fit, smaller: Sequence[Fit]) -> Fit:
+    """The best of some smaller sets, or what drops as much on each joint at once, where that is better:
+    effects that act within their joints do not replace those of another joint."""
+    best = min(smaller, key=score)
+    effects, joints = list(result.effects), set[str | None]()
+    for one in sorted(smaller, key=score):
+        gone = _keys(result) - _keys(one)
+        changed = [
+            e for e in (*result.effects, *one.effects) if (e.key in _keys(one)) != (e.key in _keys(result))
+        ]
+        at = {e.joint for e in changed}
+        if joints & at or not all(acts_within_a_joint(e) for e in changed):
+            continue
+        joints |= at
+        effects = [e for e in effects if e.key not in gone] + [e for e in changed if e.key not in gone]
+    if len(joints) <= 1:
+        return best
+    together = fit(result.problem, effects)
+    return together if score(together) < score(best) else best
 
 
 def _without_unsupported(task: tuple[Fit, Planned]) -> Fit | None:
