@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from rich.console import Console
 from support.fake_diagnosis import slide, traced
 
 from flexjoint.diagnosis import result as d
+from flexjoint.diagnosis.result.wording import when
 from flexjoint.effects import effect
 from flexjoint.report import terminal
 
@@ -238,6 +239,48 @@ def test_a_cause_of_the_whole_robot_is_quoted_where_the_error_falls_most():
     text = words(replace(CAUSES, findings=(tilt,), comparison=gain))
     assert "the error of link position q at b falls: 30 % → 10 % of its standard deviation." in text
     assert "torque error of the link at a 5 → 1 N m (80 % less)" in text
+
+
+def load(**more: Any) -> d.Finding:
+    return replace(
+        backlash(),
+        effect="payload",
+        parameters={"mass": d.Fitted(1.5, 0.01, "kg")},
+        planned=effect("payload", "elbow", mass=1.5),
+        **more,
+    )
+
+
+def test_a_load_is_quoted_at_the_joint_that_carries_it():
+    gain = d.Gain(
+        True, 0.5, {"nrmse": {"q.elbow": 0.012, "q.a": 0.7}}, {"nrmse": {"q.elbow": 0.011, "q.a": 0.03}}, {}
+    )
+    text = words(replace(CAUSES, findings=(load(),), comparison=gain))
+    assert "the error of link position q at a falls: 70 % → 3.0 % of its standard deviation." in text
+
+
+@pytest.mark.parametrize(
+    ("during", "said"),
+    [
+        (((0.0, 3.104),), "at t = 0 to 3.104 s"),
+        (((3.104, 6.4), (10.2, None)), "at t = 3.104 to 6.4 s and since 10.2 s"),
+        (
+            tuple((float(k), k + 0.5) for k in range(6)),
+            "6 times, first at t = 0 to 0.5 s, last at t = 5 to 5.5",
+        ),
+    ],
+)
+def test_when_a_load_was_there_is_said(during: tuple[tuple[float, float | None], ...], said: str):
+    found = load(since=during[0][0], during=during)
+    assert when(found).startswith(said)
+    assert said[:8] in words(replace(CAUSES, findings=(found,)))
+
+
+def test_a_law_in_the_place_of_a_listed_one_is_told_so():
+    coulomb = replace(backlash(), effect="motor_coulomb_friction")
+    note = "in the place of motor Coulomb friction (25 → 3.5 N m)"
+    text = words(replace(CAUSES, findings=(replace(backlash(), instead_of=coulomb, note=note),)))
+    assert f"(gap 0.0112 ± 0.0002 rad, {note}), probability 97 %" in text
 
 
 def test_no_fall_is_no_gain():

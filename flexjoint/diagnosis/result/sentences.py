@@ -222,14 +222,14 @@ def _odds(finding: Finding, joints: Joints) -> str:
 
 
 def moved(finding: Finding, gain: Gain | None, joints: Joints) -> str:
-    """How far the simulation's error falls in the signal of the cause's own joint that gains most; of a cause
-    of the whole robot, in the signal of any joint. Empty without a comparison."""
+    """How far the simulation's error falls in the signal of the cause's own joint that gains most; of a load
+    and of a cause of the whole robot, in the signal of any joint. Empty without a comparison."""
     most = most_moved(finding, gain)
     if gain is None or most is None:
         return ""
     data = "data that the fit did not see" if gain.held_out else "the data of the fit itself"
     if most.after >= most.before:
-        where = f"of {clean(finding.joint)}" if finding.joint is not None else "of the robot"
+        where = "of the robot" if _carried(finding) else f"of {clean(finding.joint or 'the robot')}"
         return (
             f"In the simulation of {data}, the error of no measured signal {where} becomes smaller with it."
         )
@@ -246,11 +246,19 @@ def moved(finding: Finding, gain: Gain | None, joints: Joints) -> str:
 
 
 def most_moved(finding: Finding, gain: Gain | None) -> merit.ChannelError | None:
-    """The signal of the cause's own joint in which the simulation's error falls most."""
+    """The signal in which the simulation's error falls most, of the joints that the cause moves."""
     at = {finding.joint} if finding.joint is not None else {e.joint for e in finding.members}
+    if _carried(finding):
+        at = set()
     known = [e for e in merit.channel_errors(gain) if math.isfinite(e.before) and math.isfinite(e.after)]
     own = [e for e in known if e.joint in at or None in at or not at]
     return max(own, key=lambda e: e.before - e.after, default=None)
+
+
+def _carried(finding: Finding) -> bool:
+    """Whether the cause is a load or gravity, which the joints before it carry."""
+    effect = finding.planned.effect
+    return effect.overrides("edit_inertial") or effect.overrides("edit_gravity")
 
 
 def _nothing_named(diagnosis: Result) -> str:
