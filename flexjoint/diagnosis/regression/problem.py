@@ -194,6 +194,12 @@ class Problem(Recorded):
         counted = used.astype(float)
         return self._changed(used=counted, _grams=self._grams_of_rows(counted), _moves=LruCache())
 
+    def beside(self, effects: Sequence[Planned]) -> Problem:
+        """The same problem of a nominal model that has these effects, too."""
+        if not effects:
+            return self
+        return self._changed(nominal=tuple(self.with_nominal(effects)), _recent=LruCache())
+
     def of_joint(self, joint: str, effects: Sequence[Planned]) -> Problem:
         """The same problem with one joint's balances counted only, beside these effects of other joints as
         they are."""

@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 
 from flexjoint.diagnosis.regression.fit import Fit, fit, normal_equations
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.shared_numbers import SharedNumbers
 from flexjoint.diagnosis.regression.uncertainty import Errors, certainty
 from flexjoint.diagnosis.search.criteria import degenerate, price, score
@@ -61,13 +62,15 @@ class _Joint:
 
 def combine(selections: Sequence[Selection]) -> Together:
     """The best set for all recordings, among those that any of them proposes. An effect that sets in during a
-    recording is a cause of that recording only: those of the first recording are kept for it."""
+    recording, or comes and goes, is a cause of that recording only: the others are judged beside it, and
+    those of the first recording are kept for it."""
     proposals = _proposals(selections)
-    joints = {key: _fitted(selections, effects) for key, effects in proposals.items()}
+    problems = [s.best.problem.beside(_dated(s.best)) for s in selections]
+    joints = {key: _fitted(problems, effects) for key, effects in proposals.items()}
     first = selections[0]
     best_key = _chosen(first.nothing, joints)
     best = joints[best_key]
-    dated = tuple(e for e in first.best.effects if e.since is not None)
+    dated = _dated(first.best)
     problem = first.best.problem
     lasting = best.fits[0].effects if best.apart else best.effects
     chosen = fit(problem, [*lasting, *dated], iterations=0)
@@ -89,6 +92,10 @@ def combine(selections: Sequence[Selection]) -> Together:
         explains={key: joint.energy - best.energy for key, joint in bare.items() if joint is not None},
     )
     return Together(selection, _errors(best), _notes(best))
+
+
+def _dated(best: Fit) -> tuple[Planned, ...]:
+    return tuple(e for e in best.effects if e.since is not None)
 
 
 def _chosen(nothing: Fit, joints: Mapping[Names, _Joint]) -> Names:
@@ -138,8 +145,8 @@ def _proposals(selections: Sequence[Selection]) -> dict[Names, tuple[Planned, ..
     return out
 
 
-def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _Joint:
-    fits = [fit(s.best.problem, effects) for s in selections]
+def _fitted(problems: Sequence[Problem], effects: tuple[Planned, ...]) -> _Joint:
+    fits = [fit(problem, effects) for problem in problems]
     normals = [
         normal_equations(f.problem, f.tangents, f.y, f.slots, f.effects)[0] if f.slots else np.zeros((0, 0))
         for f in fits
@@ -155,10 +162,10 @@ def _fitted(selections: Sequence[Selection], effects: tuple[Planned, ...]) -> _J
     common = list(fits[0].effects)
     for slot, number in zip(slots, numbers, strict=True):
         slot.put(common, float(np.clip(number, slot.param.low, slot.param.high)))
-    there = [fit(s.best.problem, common, iterations=0) for s in selections]
+    there = [fit(problem, common, iterations=0) for problem in problems]
     energy = sum(f.energy for f in there) + shared.surplus([f.y for f in there])
     apart = sum(f.energy for f in fits) + shared.surplus([f.y for f in fits])
-    apart += selections[0].best.settings.search.price_number * len(slots) * (len(selections) - 1)
+    apart += problems[0].settings.search.price_number * len(slots) * (len(problems) - 1)
     return _Joint(
         tuple(common),
         float(min(energy, apart)),

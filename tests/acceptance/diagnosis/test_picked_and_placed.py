@@ -104,3 +104,21 @@ def test_what_has_no_name_is_no_load_that_comes_and_goes(strange: str) -> None:
     struck = {"cogging", "periodic_disturbance", "asymmetric_friction", "motor_coulomb_friction"}
     found = found_in(Case("lever", "rich", 73), cause, excluded=frozenset(struck | {"torque_offset"}))
     assert not [f for f in found.findings if f.effect == "payload" and f.probability > 0.5], summary(found)
+
+
+@thorough
+def test_what_two_recordings_share_is_judged_beside_the_loads_of_each() -> None:
+    """A friction is common to both; when a load was held is each one's own."""
+    friction = Planted("motor_coulomb_friction", "swing", {"level": 3.0})
+    recordings = []
+    for seed, since, switches in ((101, 3.0, (6.0, 8.5)), (102, None, (4.0, 9.0))):
+        load = Planted("payload", "swing", {"mass": MASS, "position": list(PLACE)}, since, switches)
+        recordings.append(as_recording(Case("lever", "rich", seed).with_causes(load, friction), f"{seed}"))
+    found = diagnose(nominal("lever"), recordings)
+
+    likely = {f.effect: f for f in found.findings if f.probability > 0.5}
+    assert set(likely) == {"payload", "motor_coulomb_friction"}, summary(found)
+    assert "causes and numbers common to all 2 recordings" in found.notes
+    assert likely["motor_coulomb_friction"].parameters["level"].value == pytest.approx(3.0, rel=0.01)
+    ((first, _), _) = likely["payload"].during
+    assert first == pytest.approx(3.0, abs=DATED)
