@@ -196,19 +196,14 @@ class Problem(Recorded):
 
     def beside(self, effects: Sequence[Planned]) -> Problem:
         """The same problem of a nominal model that has these effects, too."""
-        if not effects:
-            return self
         return self._changed(nominal=tuple(self.with_nominal(effects)), _recent=LruCache())
 
     def of_joint(self, joint: str, effects: Sequence[Planned]) -> Problem:
         """The same problem with one joint's balances counted only, beside these effects of other joints as
         they are."""
         at = self.robot.joint_names.index(joint)
-        return self._changed(
-            counted=np.array([row.joint == at for row in self.balances.rows]),
-            nominal=tuple(self.with_nominal(effects)),
-            _recent=LruCache(),
-        )
+        counted = np.array([row.joint == at for row in self.balances.rows])
+        return self.beside(effects)._changed(counted=counted)
 
     def free_level(self, y: np.ndarray) -> NoiseLevel:
         """The noise level that a residual y shows, where the nominal numbers explain all that they can,

@@ -96,6 +96,8 @@ def _of_diagnosis(content: Mapping[str, Any], robot: Robot, source: str) -> Know
     causes: list[Planned] = []
     named: set[Key] = set()
     for entry in content["findings"]:
+        if entry.get("during"):  # a load that was picked and placed is no part of the machine
+            continue
         std = {
             name: _numbers(given["std"])
             for name, given in entry["parameters"].items()

@@ -15,6 +15,7 @@ from planting.machine.sensing import SensorSet
 from support.diagnose_cases import Case, as_recording, found_in, nominal, summary
 from support.thorough import thorough
 
+from flexjoint.diagnosis.followup.checking.check import check
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.result.values import to_json
@@ -54,6 +55,14 @@ def test_held_from_the_start_and_placed() -> None:
     ((begin, end),) = entry["during"]  # type: ignore[misc]
     assert begin == entry["since"] == 0.0 and end == pytest.approx(5.0, abs=DATED)
     assert when(found.findings[0]).startswith("at t = 0 to ")
+
+
+def test_the_machine_without_the_load_is_as_it_was() -> None:
+    """A load is no part of the machine: a check of the next recording does not miss it."""
+    case = Case("lever", "rich", 75)
+    checked = check(nominal("lever"), as_recording(case.with_causes(), case.name), lever(4.0, 8.0))
+    assert checked.verdict == "as_before", str(checked)
+    assert not any(joint.causes for joint in checked.joints), str(checked)
 
 
 @thorough
