@@ -4,7 +4,7 @@ holds the criteria that an effect must meet.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -305,8 +305,7 @@ def with_common(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> list[
         group.sort(key=lambda e: names.index(str(e.joint)))
         together = at_own_level(fit(best.problem, [*best.effects, *group]))
         # the others are asked only where that leaves a common cause, which is seldom
-        standing = {e.key: _neighbours(together, e) for e in together.effects if e.key in older}
-        alike = _of_one_value(prune(together, pool, standing), older)
+        alike = _of_one_value(prune(together, pool, among={e.key for e in group}), older)
         if alike is not None and (alike := _of_one_value(prune(alike, pool), older)) is not None:
             found.append(alike)
     return found
@@ -525,15 +524,24 @@ def united(result: Fit) -> Fit:
     return result
 
 
-def prune(result: Fit, pool: WorkerPool, standing: Mapping[Key, frozenset[Key]] | None = None) -> Fit:
-    """Drop, one by one, the effects that the data do not support beside the others. A special case of an
-    effect's law takes its place where the data support that. Effects that were supported beside the same
-    neighbours (`standing`, or a round before) are not asked again. A set that leaves more than one without an
-    effect has ended in a local minimum, and is fitted again from there."""
+def prune(
+    result: Fit,
+    pool: WorkerPool,
+    standing: Mapping[Key, frozenset[Key]] | None = None,
+    among: Collection[Key] | None = None,
+) -> Fit:
+    """Drop, one by one, the effects that the data do not support beside the others, or those `among` some. A
+    special case of an effect's law takes its place where the data support that. Effects that were supported
+    beside the same neighbours (`standing`, or a round before) are not asked again. A set that leaves more
+    than one without an effect has ended in a local minimum, and is fitted again from there."""
     result, known = united(result), dict(standing or {})
     again = True  # once: what is left after it is no matter of where a fit started
     while len(result.effects) > 1:
-        asked = [e for e in result.effects if known.get(e.key) != _neighbours(result, e)]
+        asked = [
+            e
+            for e in result.effects
+            if known.get(e.key) != _neighbours(result, e) and (among is None or e.key in among)
+        ]
         without = pool.map(_without_unsupported, [(result, e) for e in asked])
         parts = [f for f in without if f is not None and _keys(f) < _keys(result)]
         lower = [f for f in parts if f.energy < result.energy]
