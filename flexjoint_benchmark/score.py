@@ -25,6 +25,7 @@ EQUIVALENT: tuple[frozenset[str], ...] = (
     frozenset({"torque_delay", "current_lag", "current_loop_lag"}),
     frozenset({"payload", "base_tilt"}),
     frozenset({"torque_offset", "constant_torque"}),
+    frozenset({"magnetic_saturation", "torque_droop"}),
 )
 """The same to any experiment, on one joint: either name is right."""
 

@@ -213,6 +213,19 @@ class SignalSettings(Stage):
     sure_jump: float = number(
         5.0, "standard deviations", "of a torque's noise, above which a jump is none of it", "judgement"
     )
+    jump_noise: float = number(
+        30.0,
+        "standard deviations of the noise, or steps",
+        "of a position's jump between two samples, at least",
+        "judgement: far beyond chance in an hour at 1 kHz; less is told by what it does to torques",
+    )
+    jump_smooth: float = number(
+        0.1,
+        "times the jump",
+        "that samples beside it may be off a parabola once it is taken out: a body that is hit moves on"
+        " otherwise",
+        "judgement",
+    )
     sensor_levels: float = number(
         10.0, "steps", "range of a torque, from which its steps are those of a sensor", "judgement"
     )
@@ -986,6 +999,13 @@ class VerdictSettings(Stage):
         "judgement: no planted machine has more than two causes",
     )
     crowd: int = number(2, "causes", "on a joint, that planted machines have at most", "study: its machines")
+    jumped: float = number(
+        0.98,
+        "probability",
+        "at least, of an encoder's offset that sets in where its reading jumps between two samples and goes"
+        " on as before, however little that changes torques",
+        "theory: no body moves so",
+    )
     belief_held: float = number(
         9.0,
         "log odds",

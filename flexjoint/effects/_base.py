@@ -138,6 +138,7 @@ class Effect:
     ordinary: ClassVar[bool] = False  # every machine has it: looked for first on a joint that leaves much
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness
     for_rigid: ClassVar[bool] = False  # gives a rigid joint a spring: needs one of infinite stiffness
+    jumps: ClassVar[bool] = False  # its channel's reading jumps where it sets in
     comes_and_goes: ClassVar[bool] = False  # may cease during a recording and act again
     is_cause: ClassVar[bool] = True  # whether a diagnosis may name it; a learned law has no name
 

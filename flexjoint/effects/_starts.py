@@ -24,13 +24,14 @@ def grid(params: tuple[Parameter, ...], **values: Iterable[Any]) -> tuple[dict[s
     return tuple(dict(zip(values, point, strict=True)) for point in product(*axes))
 
 
-def whole_cycles(theta: Any) -> range:
+def whole_cycles(theta: Any, periods: float = 0.25) -> range:
     """Every whole number of cycles per turn up to MAX_CYCLES of which the angle theta (N,) [rad] covers
-    about a quarter period or more."""
+    about so many periods or more."""
     travel = float(np.ptp(theta))
-    if travel * MAX_CYCLES <= 0.5 * pi:
+    least = 2.0 * pi * periods
+    if travel * MAX_CYCLES <= least:
         return range(MAX_CYCLES, MAX_CYCLES + 1)
-    return range(max(1, floor(0.5 * pi / travel)), MAX_CYCLES + 1)
+    return range(max(1, floor(least / travel)), MAX_CYCLES + 1)
 
 
 def few_periods(angle: Any) -> tuple[float, ...]:

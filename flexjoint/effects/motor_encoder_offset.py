@@ -11,6 +11,7 @@ class MotorEncoderOffset(Effect):
     """The motor encoder's zero is off."""
 
     site, kind, against, reference = Site.SENSOR, Kind.SENSOR, "t", "formats: measured = true + offset"
+    jumps = True
     law = r"y = \theta + b"
     params = (Parameter("offset", "rad", "b", value=1e-3, low=-7.0, high=7.0),)
 

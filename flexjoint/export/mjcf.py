@@ -111,6 +111,7 @@ class Mjcf(Target):
         "link_encoder_offset": absent("MuJoCo's sensors read true; add it to what you read"),
         "link_viscous_friction": exact("damping of the link's hinge"),
         "load_friction": absent("MuJoCo's friction knows no load"),
+        "magnetic_saturation": absent("MuJoCo's actuators are linear in their command; apply it to ctrl"),
         "motor_coulomb_friction": exact("frictionloss of the rotor's hinge"),
         "motor_encoder_offset": absent("MuJoCo's sensors read true; add it to what you read"),
         "motor_inertia": exact("armature"),

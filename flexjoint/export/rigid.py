@@ -28,7 +28,7 @@ SENSORS: Mapping[str, Way] = _all(
     "sensors are not in that file; add it to what you read",
 )
 COMMANDS: Mapping[str, Way] = _all(
-    "cogging current_lag joint_coupling torque_delay torque_gain torque_offset",
+    "cogging current_lag joint_coupling magnetic_saturation torque_delay torque_gain torque_offset",
     "how a command becomes a torque is not in that file; add it to your command",
 )
 LIMITS: Mapping[str, Way] = _all("torque_saturation torque_speed_limit", "limits are not in that file")

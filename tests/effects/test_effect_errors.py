@@ -220,6 +220,7 @@ PLANTED: dict[str, tuple[dict[str, float], ...]] = {
         {"level": 1, "static_extra": 0.7, "velocity": 0.9},
     ),
     "torque_delay": ({"delay": 0.0007}, {"delay": 0.013}),
+    "magnetic_saturation": ({"saturation": 0.05}, {"saturation": 0.2}),
     "torque_saturation": ({"limit": 17.0}, {"limit": 5.0}),
     "torque_speed_limit": ({"stall": 20.0, "drop": 4.0}, {"stall": 64.0, "drop": 4.0}),
     "transmission_error": (

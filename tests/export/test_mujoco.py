@@ -57,6 +57,7 @@ SIZES: dict[str, dict[str, Any]] = {  # that matter in this motion
     "motor_inertia": {"scale": 0.5},
     "motor_viscous_friction": {"coefficient": 3.0},
     "joint_compliance": {"compliance": 2e-3, "relaxation": 2e-3},
+    "magnetic_saturation": {"saturation": 0.05},
     "payload": {"mass": 0.5, "position": (0.1, 0.05, -0.1)},
     "quadratic_drag": {"coefficient": 2.0},
     "spring_creep": {"stiffness": 300.0, "time_constant": 0.1},

@@ -217,6 +217,10 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
         "stiffness N m/rad, time_constant s",
         {"torque": lambda i: i.p.stiffness * i.z, "rate": lambda i: i.s.dphi - i.z / i.p.time_constant},
     ),
+    "magnetic_saturation": (
+        "saturation 1/(N m)",
+        {"map": lambda i: i.x / np.hypot(1.0, i.p.saturation * i.x)},
+    ),
     "torque_speed_limit": (
         "stall N m, drop N m s/rad",
         {

@@ -16,6 +16,7 @@ from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.whitening import Band, Whitening
 from flexjoint.diagnosis.search.ripples import ripples
 from flexjoint.diagnosis.settings import SearchSettings
+from flexjoint.diagnosis.signals.reading_jumps import reading_jumps
 from flexjoint.effects import Effect, Parameter, Planned, Site, catalogue
 
 UNSEEN = 1e-12  # of the largest curvature: below it is rounding
@@ -52,6 +53,7 @@ class Trace:
     kind: str  # amplitudes | whole | phase
     trial: Mapping[str, float]
     origin: Mapping[str, float]  # values at amplitude 0: null, or what the nominal model lists
+    since: float | None = None  # onset [s] that the columns have; None: they act all the time
 
     @cached_property
     def columns(self) -> np.ndarray:
@@ -205,6 +207,19 @@ def traces(problem: Problem, candidate: Candidate, base: Sequence[Planned], y: n
         if key not in seen:
             seen.add(key)
             yield _trace(problem, candidate, base, kept, phase, listed)
+    for since in jump_times(problem, effect, candidate.joint):
+        yield _trace(problem, candidate, base, {}, phase, listed, since)
+
+
+def jump_times(problem: Problem, effect: Effect, joint: str | None) -> Iterator[float]:
+    """The times [s] at which an effect on a joint may have set in, as its channel's reading jumps. Such a
+    jump is seen in the accelerations for a moment only, which no onset elsewhere shows."""
+    if not effect.jumps or joint is None:
+        return
+    i, t = problem.robot.joint_names.index(joint), problem.balances.chains.t
+    for channel in effect.channels(Candidate(effect, joint).planned({}).p):
+        for k in reading_jumps(getattr(problem.readings, channel)[i], problem.settings.signals):
+            yield float(0.5 * (t[k] + t[k + 1]))
 
 
 def _trace(
@@ -214,6 +229,7 @@ def _trace(
     start: dict[str, Any],
     phase: list[str],
     listed: Planned | None,
+    since: float | None = None,
 ) -> Trace:
     effect = candidate.effect
     given = [p.name for p in effect.nulls if p.name in start]
@@ -226,19 +242,19 @@ def _trace(
     moved = problem.denoised_moved_band if effect.overrides("delay") else problem.slightly_moved_band
 
     def column(values: Mapping[str, Any]) -> Band:
-        return moved(base, [*without, candidate.planned(values)])
+        return moved(base, [*without, candidate.planned(values, since)])
 
     white = problem.whitening
 
     if given:
         trial = {name: start[name] for name in given}
-        return Trace(candidate, start, (column(start),), white, "whole", trial, origin)
+        return Trace(candidate, start, (column(start),), white, "whole", trial, origin, since)
     trial = {p.name: trial_size(problem, candidate, p) for p in effect.nulls if p.name not in phase}
     if phase:
         bands = tuple(column({**start, **trial, phase[0]: a}) for a in (0.0, 0.5 * np.pi))
-        return Trace(candidate, start, bands, white, "phase", trial, origin)
+        return Trace(candidate, start, bands, white, "phase", trial, origin, since)
     bands = tuple(column({**start, **origin, name: origin[name] + trial[name]}) for name in trial)
-    return Trace(candidate, start, bands, white, "amplitudes", trial, origin)
+    return Trace(candidate, start, bands, white, "amplitudes", trial, origin, since)
 
 
 def trial_size(problem: Problem, candidate: Candidate, param: Parameter) -> float:

@@ -235,6 +235,8 @@ def _score(
     removes = -(2.0 * np.sum(amplitude * force, axis=1))
     removes -= np.einsum("bk,bkl,bl->b", amplitude, curvature, amplitude)
     at = int(np.argmax(removes))
+    if trace.since is not None:
+        return Scored(trace, amplitude[0], float(removes[0]), trace.since, kept.sight)
     always = trace.candidate.joint is None or trace.candidate.effect.for_rigid
     if always or removes[at] - removes[0] < settings.onset_margin * abs(removes[at]):
         at = 0

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnosis.regression.fit import Fit
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors, standard_errors
 from flexjoint.diagnosis.result import Finding, Fitted, Ranked, WithinTolerance
-from flexjoint.diagnosis.search.candidates import Candidate
+from flexjoint.diagnosis.search.candidates import Candidate, jump_times
 from flexjoint.diagnosis.search.criteria import (
     needs_implausible,
 )
@@ -70,6 +71,8 @@ def findings(
         believed = where_held(believed, cleared[k], limits)
         if believed < limits.likely:
             believed = max(believed, simulated(k, beside))
+        if _jumped(best.problem, planned):
+            believed = max(believed, limits.jumped)
         out.append(
             Finding(
                 planned.effect.name,
@@ -92,6 +95,14 @@ def findings(
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain))
+
+
+def _jumped(problem: Problem, planned: Planned) -> bool:
+    """Whether an effect sets in where its channel's reading jumps: what it does to torques may be small."""
+    if not planned.effect.jumps or planned.joint is None or planned.since is None:
+        return False
+    period = problem.readings.period
+    return any(abs(at - planned.since) <= period for at in jump_times(problem, planned.effect, planned.joint))
 
 
 def _since(planned: Planned, readings: Readings) -> float | None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from planting import ROBOTS, Planted, plant
@@ -118,3 +119,43 @@ def test_a_log_that_does_not_say_where_its_encoder_is_hears_what_that_leaves_ope
     unsaid = replace(recording, columns=columns)
     assert "name it theta.swing: whether the joint bends" in advice(loaded, unsaid, [], left, [])
     assert "theta.swing" not in advice(loaded, recording, [], left, [])
+
+
+def test_a_motor_that_saturates_is_named_by_a_law_of_its_own(rigid: Path) -> None:
+    """Planted as a loss that grows with the cube of the torque, as no effect of the catalogue says it."""
+    recorded = plant(
+        rigid,
+        [Planted("torque_droop", "swing", {"loss": 0.2, "reference": 60.0})],
+        "rich",
+        SECONDS,
+        5,
+        MOTOR,
+        rate=RATE,
+    )
+    found = diagnose(robot.load(rigid), [as_recording(recorded)], refine=False)
+    named = only(found)
+    assert named.effect == "magnetic_saturation" and named.probability > 0.8, summary(found)
+    # what is lost at 60 N m: 1 - 1/sqrt(1 + x^2) of it
+    left = 1.0 / (1.0 + (60.0 * number(named, "saturation")) ** 2) ** 0.5
+    assert 1.0 - left == pytest.approx(0.2, abs=0.05)
+
+
+def test_a_torque_of_which_no_period_was_seen_is_no_cogging(rigid: Path) -> None:
+    """A balancer turns once with the joint, of which this motion covers less than a turn."""
+    torque = {"amplitude": 15.0, "cycles": 1.0, "phase": 0.4}
+    recorded = plant(rigid, [Planted("cogging", "swing", torque)], "rich", SECONDS, 5, MOTOR, rate=RATE)
+    found = diagnose(robot.load(rigid), [as_recording(recorded)], refine=False)
+    assert all(f.effect != "cogging" for f in found.findings), summary(found)
+    assert found.verdict == "unexplained" and found.unexplained[0].against == "q", summary(found)
+
+
+def test_an_encoder_that_slips_is_found_by_its_jump(rigid: Path) -> None:
+    """Its reading jumps between two samples, in the log alone, by what hardly changes the torque."""
+    made = as_recording(plant(rigid, [], "rich", SECONDS, 5, MOTOR, rate=RATE))
+    columns = dict(made.columns)
+    columns["theta", "swing"] = columns["theta", "swing"] + np.where(made.time > 9.0, 0.02, 0.0)
+    found = diagnose(robot.load(rigid), [replace(made, columns=columns)], refine=False)
+    named = only(found)
+    assert named.effect == "motor_encoder_offset" and named.probability > 0.9, summary(found)
+    assert named.since == pytest.approx(9.0, abs=0.02)
+    assert number(named, "offset") == pytest.approx(0.02, rel=0.1)
