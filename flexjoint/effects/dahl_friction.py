@@ -33,4 +33,4 @@ class DahlFriction(Effect):
         return (s.dtheta * p.level - z * ops.absolute(s.dtheta)) / p.scale
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        return grid(self.params, scale=float(np.ptp(s.theta)) * np.array((1e-3, 3e-3, 0.01, 0.03, 0.1)))
+        return grid(self.params, scale=float(np.ptp(s.theta)) * np.array((1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1)))
