@@ -166,7 +166,7 @@ def _changed(finding: Finding, best: Fit, effects: Sequence[Planned], estimate: 
     """A finding with the refined numbers of its effect."""
     place = next(k for k, e in enumerate(best.effects) if e.key == finding.planned.key)
     old, new = best.effects[place], effects[place]
-    std, at = np.sqrt(np.diag(estimate.covariance)), estimate.bounds != 0
+    std, at = np.sqrt(np.diag(estimate.covariance)), _told(best, estimate.bounds) != 0
     parameters = dict(finding.parameters)
     turned = {}
     for param in new.effect.params:
@@ -190,6 +190,17 @@ def _changed(finding: Finding, best: Fit, effects: Sequence[Planned], estimate: 
     return replace(finding, parameters=parameters, planned=new.with_values(turned))
 
 
+def _told(best: Fit, bounds: np.ndarray) -> np.ndarray:
+    """(slots,) the bounds at which numbers are, -1, 0 or 1; a listed law that is gone is at none."""
+    listed = {e.key for e in best.problem.nominal}
+    gone = [
+        best.effects[slot.effect].key in listed
+        and slot.param.null == (slot.param.low if side < 0 else slot.param.high)
+        for slot, side in zip(best.slots, bounds, strict=True)
+    ]
+    return np.where(gone, 0, bounds)
+
+
 def _estimation(
     best: Fit, spread: np.ndarray, bounds: np.ndarray, estimate: Estimate | None = None, why: str = ""
 ) -> Estimation:
@@ -201,7 +212,9 @@ def _estimation(
         why,
         names,
         np.clip(spread / np.outer(size, size), -1.0, 1.0),
-        tuple((name, sides[int(side)]) for name, side in zip(names, bounds, strict=True) if side),
+        tuple(
+            (name, sides[int(side)]) for name, side in zip(names, _told(best, bounds), strict=True) if side
+        ),
         0.0 if estimate is None else estimate.seconds,
         1.0 if estimate is None else estimate.level,
         estimate is not None and _follows(estimate, best.settings),

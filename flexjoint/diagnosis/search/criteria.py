@@ -108,7 +108,8 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
     in any balance (a peak of friction below the speeds that the data resolve)."""
     limits = problem.settings.search
     sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
-    if any(_absent(part) for part in planned.parts):
+    listed = next((e for e in problem.nominal if e.key == planned.key), None)
+    if _as_listed(planned, listed) if listed else any(_absent(part) for part in planned.parts):
         return True
     if any(np.any(np.isclose(size, p.high, rtol=limits.at_bound, atol=0.0)) for size, p in sizes):
         return True
@@ -134,6 +135,14 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
 
 def _absent(planned: Planned) -> bool:
     return all(np.all(np.ravel(planned.values[p.name]) == p.null) for p in planned.effect.nulls)
+
+
+def _as_listed(planned: Planned, listed: Planned) -> bool:
+    """Whether an effect is what the nominal model lists; a listed friction that is gone is a change."""
+    return all(
+        np.all(np.ravel(planned.values[p.name]) == np.ravel(listed.values[p.name]))
+        for p in planned.effect.nulls
+    )
 
 
 def _weightless(problem: Problem, planned: Planned) -> bool:

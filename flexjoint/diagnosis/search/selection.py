@@ -347,7 +347,8 @@ def _with_other_joints(grown: Fit, found: Sequence[Fit], larger: Sequence[Fit], 
             break
         if e.joint not in joints:
             joints.add(e.joint)
-            others.append(e)
+            # a law in the place of a listed one brings that one's change along
+            others += [one for one in trial.effects if one.joint == e.joint and one.key not in _keys(grown)]
             # at the level that it leaves there: at a high one the fit would lose what it found
             inflation = np.minimum(inflation, trial.problem.level.inflation)
     if not others:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -377,7 +378,28 @@ def added_to(current: Fit, scored: Scored) -> Fit | None:
     fitted numbers mean nothing (`degenerate`)."""
     planned = scored.planned()
     fitted = switched(date_onset(fit(current.problem, [*current.effects, planned], tried=planned)))
+    instead = _in_the_place_of_a_listed_one(current, fitted.effects[-1])
+    if instead is not None and score(instead) < score(fitted):
+        fitted = instead
     return None if degenerate(current.problem, fitted.effects[-1]) else fitted
+
+
+def _in_the_place_of_a_listed_one(current: Fit, added: Planned) -> Fit | None:
+    """The set with a law that has a state of its own in the place of one that the nominal model lists and
+    that it contains (a friction that gives way, of a dry one): the two do not add up to it with any numbers,
+    so that beside the listed one, as it is, little of the law is seen. None where nothing is listed."""
+    law, taken = added.effect, {e.key for e in current.effects}
+    listed = [
+        e
+        for e in current.problem.nominal
+        if law.states and e.joint == added.joint and e.effect.name in law.contains and e.key not in taken
+    ]
+    if not listed or added.since is not None:
+        return None
+    (own,) = listed
+    gone = replace(own.with_values({p.name: p.null for p in own.effect.nulls}), nominal=False)
+    whole = added.with_values({p.name: own.values[p.name] for p in law.nulls if p.name in own.values})
+    return fit(current.problem, [*current.effects, gone, whole], tried=whole)
 
 
 def settled(result: Fit, tried: Planned | None = None) -> Fit:

@@ -178,11 +178,12 @@ def _parameters(
     for param in planned.effect.params:
         value: Any = planned.values[param.name]
         unit = param.unit_at(prismatic)
+        std = spread.get(param.name, [0.0])
+        # of a listed law that is gone nothing is at a bound
+        bounds = [b for b in (param.low, param.high) if listed is None or b != param.null]
+        at_bound = any(np.isclose(v, bounds, rtol=1e-9).any() for v in np.ravel(value))
         if listed is not None and param.size == 1:
             value = value - listed.values[param.name]
-        std = spread.get(param.name, [0.0])
-        numbers = [value] if param.size == 1 else list(value)
-        at_bound = any(np.isclose(v, (param.low, param.high), rtol=1e-9).any() for v in numbers)
         if param.size == 1:
             out[param.name] = Fitted(float(value), std[0], unit, at_bound)
         else:

@@ -10,11 +10,19 @@ import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal, summary
 
+from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
+from flexjoint.diagnosis.regression.fit import fit
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.result import Diagnosis
 from flexjoint.diagnosis.result.known import planned_of
 from flexjoint.diagnosis.result.values import to_json
 from flexjoint.diagnosis.result.wording import parameters
+from flexjoint.diagnosis.search.candidates import enumerate_candidates
+from flexjoint.diagnosis.search.criteria import at_own_level, degenerate
+from flexjoint.diagnosis.search.scan import Scanner
+from flexjoint.diagnosis.search.trials import added_to
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.verdict.instead import given_up_for, without
 from flexjoint.effects import effect
 from flexjoint.robot.robot import Robot
@@ -67,3 +75,28 @@ def test_what_makes_room_for_what() -> None:
     for one in (dahl, less):
         assert without(one, [dahl, less, elsewhere], [COULOMB]) == [elsewhere]
     assert without(more, [dahl, more], [COULOMB]) == [dahl]
+
+
+def test_a_law_that_gives_way_is_tried_in_the_place_of_the_listed_one() -> None:
+    """Beside a claimed Coulomb friction as it is, little of the law would be seen."""
+    case = Case("lever", "rich", 92)
+    dahl = Planted("dahl_friction", "swing", {"level": LEVEL, "scale": 0.01})
+    problem = Problem(balances_of(claiming(), as_recording(case.with_causes(dahl), case.name), USUAL))
+    bare = at_own_level(fit(problem, []))
+    candidates = [c for c in enumerate_candidates(problem) if c.effect.name == "dahl_friction"]
+    (scored,) = Scanner(candidates).scan(bare)
+    added = added_to(bare, scored)
+    assert added is not None
+    levels = {e.effect.name: e.values["level"] for e in added.effects}
+    assert set(levels) == {"motor_coulomb_friction", "dahl_friction"}
+    assert added.effects[-1].effect.name == "dahl_friction"  # the cause that was tried
+    assert levels["dahl_friction"] == pytest.approx(LEVEL, rel=0.05)
+    assert levels["motor_coulomb_friction"] < 0.05 * LEVEL
+
+
+def test_a_listed_friction_that_is_gone_is_a_change_and_one_as_listed_is_none() -> None:
+    problem = Problem(
+        balances_of(claiming(), as_recording(Case("lever", "rich", 92).with_causes(), "x"), USUAL)
+    )
+    gone, same = (replace(COULOMB, values={"level": level}, nominal=False) for level in (0.0, LEVEL))
+    assert not degenerate(problem, gone) and degenerate(problem, same)
