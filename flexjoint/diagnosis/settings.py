@@ -663,6 +663,13 @@ class SearchSettings(Stage):
         "from which a set is not fitted again at the noise level of another",
         "judgement",
     )
+    least_period: float = number(
+        0.5,
+        "periods",
+        "of a torque that repeats, that a motion must cover: with less it does not come back, and any"
+        " smooth torque of one signal looks so",
+        "machine: a spring balancer as 0.17 periods of a ripple; ripples that slow motions show, 0.56",
+    )
     astray: float = number(
         3.0,
         "factor",

@@ -46,4 +46,4 @@ class Cogging(Effect):
         return x + p.amplitude * ops.sin(p.cycles * s.theta + p.phase)
 
     def starts(self, s: Signals) -> tuple[dict[str, float], ...]:
-        return grid(self.params, cycles=whole_cycles(s.theta, 1.0), phase=PHASES)
+        return grid(self.params, cycles=whole_cycles(s.theta, 0.5), phase=PHASES)

@@ -103,7 +103,7 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
     of which it is made; a shape parameter is at its bound or below what the sensors resolve, so that a
     simpler law does the same; its size is at the upper bound; it is a friction in one direction and none in
     the other (an offset larger than friction looks so); it is a load with which what the joint carries weighs
-    less than nothing; it is a torque that repeats, of which less than one period was seen, as any smooth
+    less than nothing; it is a torque that repeats, of which too little of a period was seen, as any smooth
     torque looks so; or its torque is far above both the torques of its joint and the torque that it shows
     in any balance (a peak of friction below the speeds that the data resolve)."""
     limits = problem.settings.search
@@ -156,13 +156,14 @@ def _weightless(problem: Problem, planned: Planned) -> bool:
 
 
 def _part_of_a_period(problem: Problem, planned: Planned) -> bool:
-    """Whether an effect is a torque that repeats, and the recording shows less than one period of it."""
+    """Whether an effect is a torque that repeats, and the recording shows too little of a period of it."""
     effect = planned.effect
     if planned.joint is None or not effect.repeats or all(p.unit != "N m" for p in effect.nulls):
         return False
     signal = getattr(problem.signals(planned.joint), effect.against)
     turns = 1.0 if effect.against == "t" else 1.0 / (2.0 * np.pi)  # a rhythm counts in Hz
-    return bool(float(planned.values[effect.repeats]) * turns * float(np.ptp(signal)) < 1.0)
+    periods = float(planned.values[effect.repeats]) * turns * float(np.ptp(signal))
+    return periods < problem.settings.search.least_period
 
 
 def _unseen(problem: Problem, planned: Planned, shapes: Sequence[Parameter]) -> bool:

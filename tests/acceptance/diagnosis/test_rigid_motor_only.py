@@ -140,8 +140,8 @@ def test_a_motor_that_saturates_is_named_by_a_law_of_its_own(rigid: Path) -> Non
     assert 1.0 - left == pytest.approx(0.2, abs=0.05)
 
 
-def test_a_torque_of_which_no_period_was_seen_is_no_cogging(rigid: Path) -> None:
-    """A balancer turns once with the joint, of which this motion covers less than a turn."""
+def test_a_torque_of_which_too_little_of_a_period_was_seen_is_no_cogging(rigid: Path) -> None:
+    """A balancer turns once with the joint, of which this motion covers less than half a turn."""
     torque = {"amplitude": 15.0, "cycles": 1.0, "phase": 0.4}
     recorded = plant(rigid, [Planted("cogging", "swing", torque)], "rich", SECONDS, 5, MOTOR, rate=RATE)
     found = diagnose(robot.load(rigid), [as_recording(recorded)], refine=False)

@@ -20,7 +20,6 @@ from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection, nested, 
 from flexjoint.diagnosis.verdict.checks.nested import BesideItsSpecialCase
 from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
-from flexjoint.diagnosis.verdict.checks.worse_torques import WorseTorques
 from flexjoint.diagnosis.verdict.review import notes, reviewed
 from flexjoint.effects import Planned, effect
 
@@ -152,17 +151,3 @@ def test_a_cause_of_more_numbers_must_be_surer(monkeypatch: pytest.MonkeyPatch) 
         objected.append([o.effect.effect.name for o in UncertainSize().objections(case)])
 
     assert objected == [["cogging"], ["cogging"], []]
-
-
-def test_a_cause_with_which_unseen_torques_are_worse_goes_first() -> None:
-    """Unseen data hold 0.07 +- 0.04 and 0.3 +- 0.1 of two causes' torques, and all of a third one's."""
-    named = [
-        SimpleNamespace(planned=planned, removed=SimpleNamespace(held=held, held_std=std))
-        for planned, held, std in ((GAP, 0.3, 0.1), (OFFSET, 0.07, 0.04), (LAG, 1.0, 0.01))
-    ]
-    best = SimpleNamespace(settings=USUAL)
-    case: Any = SimpleNamespace(selection=SimpleNamespace(best=best), named=named)
-    (objection,) = WorseTorques().objections(case)
-    assert objection.effect is OFFSET
-    named.pop(1)
-    assert WorseTorques().objections(case) == ()  # 0.3 is 2 errors below one half

@@ -16,7 +16,6 @@ from flexjoint.diagnosis.verdict.checks.shrunk import ShrunkLaw
 from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
 from flexjoint.diagnosis.verdict.checks.worse_simulation import WorseSimulation
-from flexjoint.diagnosis.verdict.checks.worse_torques import WorseTorques
 
 BALANCES: tuple[Check[Case], ...] = (ShrunkLaw(), ContradictedByABalance(), UncertainSize())
 NAMES: tuple[Check[Case], ...] = (KnownName(),)
@@ -24,7 +23,6 @@ SIMULATION: tuple[Check[SimulatedCase], ...] = (WorseSimulation(),)
 FINDINGS: tuple[Check[StatedCase], ...] = (
     FrictionAtRest(),
     BesideItsSpecialCase(),
-    WorseTorques(),
     Improbable(),
     AbsentOnTheSimulation(),
     FinerThanKnown(),
