@@ -396,7 +396,7 @@ def _in_the_place_of_a_listed_one(current: Fit, added: Planned) -> Fit | None:
     ]
     if not listed or added.since is not None:
         return None
-    (own,) = listed
+    own = listed[0]
     gone = replace(own.with_values({p.name: p.null for p in own.effect.nulls}), nominal=False)
     whole = added.with_values({p.name: own.values[p.name] for p in law.nulls if p.name in own.values})
     return fit(current.problem, [*current.effects, gone, whole], tried=whole)
