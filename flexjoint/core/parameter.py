@@ -47,6 +47,14 @@ class Parameter:
         """Its unit at a joint that turns or slides; a phase is an angle at either."""
         return self.unit if self.wraps else of_joint(self.unit, prismatic)
 
+    def bounds(self, listed: bool = False) -> tuple[float, float]:
+        """The bounds at which a fit may be said to end. Of an effect that a nominal model lists its absence
+        is none: it is gone."""
+        low, high = self.low, self.high
+        if listed:
+            low, high = (-math.inf if low == self.null else low), (math.inf if high == self.null else high)
+        return low, high
+
     def checked(self, number: object, where: str = "") -> float:
         """The number as a float; raises ModelError for what is no number, or out of bounds. `where` is the
         name to say instead of its own."""

@@ -48,3 +48,12 @@ def test_the_parameters_of_a_model_have_units_bounds_and_deviations() -> None:
     by_name = dict(zip(symbolic.parameters, symbolic.values, strict=True))
     assert set(by_name) == set(found)
     np.testing.assert_array_equal([by_name[name] for name in found], [p.value for p in found.values()])
+
+
+def test_the_absence_of_what_a_model_lists_is_no_bound() -> None:
+    level = Parameter("level", "N m", low=0.0, high=10.0)
+    assert level.bounds() == (0.0, 10.0) and level.bounds(listed=True) == (-math.inf, 10.0)
+    limit = Parameter("limit", "N m", low=0.0, high=1e6, null=1e6)
+    assert limit.bounds(listed=True) == (0.0, math.inf)
+    shape = Parameter("scale", "rad", low=1e-6, high=1.0, null=None)
+    assert shape.bounds(listed=True) == shape.bounds() == (1e-6, 1.0)

@@ -353,6 +353,9 @@ def _moving_links(effects: Sequence[Planned]) -> list[Planned]:
 
 
 def _rows(motion: Motion) -> list[Row]:
+    """The balances in the order in which they are whitened, each beside those before it. First those that
+    tell where links without an encoder are, by the spring's torque or else the motor's: a link's balance
+    depends on where all links are, and one that had to tell it would carry the errors of other joints."""
     rows = []
     for i, joint in enumerate(motion.robot.joints):
         if np.isfinite(motion.readings.torque[i, 0]):
@@ -362,4 +365,7 @@ def _rows(motion: Motion) -> list[Row]:
         rows.append(Row(LINK, i))
         if np.isfinite(motion.readings.tau_t[i, 0]):
             rows.append(Row(SPRING, i))
-    return rows
+    unseen = {i for channel, i in motion.missing if channel == "q"}
+    telling = {row.joint: row for row in rows if row.joint in unseen and row.balance in (MOTOR, SPRING)}
+    first = list(telling.values())
+    return first + [row for row in rows if row not in first]

@@ -191,14 +191,11 @@ def _changed(finding: Finding, best: Fit, effects: Sequence[Planned], estimate: 
 
 
 def _told(best: Fit, bounds: np.ndarray) -> np.ndarray:
-    """(slots,) the bounds at which numbers are, -1, 0 or 1; a listed law that is gone is at none."""
+    """(slots,) of the bounds at which numbers are, -1, 0 or 1, those that are said (`Parameter.bounds`)."""
     listed = {e.key for e in best.problem.nominal}
-    gone = [
-        best.effects[slot.effect].key in listed
-        and slot.param.null == (slot.param.low if side < 0 else slot.param.high)
-        for slot, side in zip(best.slots, bounds, strict=True)
-    ]
-    return np.where(gone, 0, bounds)
+    said = [slot.param.bounds(best.effects[slot.effect].key in listed) for slot in best.slots]
+    ends = np.array([high if side > 0 else low for (low, high), side in zip(said, bounds, strict=True)])
+    return np.where(np.isfinite(ends), bounds, 0)
 
 
 def _estimation(

@@ -9,7 +9,8 @@ makes in the balances that it changes.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -100,16 +101,17 @@ def same_level(one: NoiseLevel, other: NoiseLevel) -> bool:
 
 def degenerate(problem: Problem, planned: Planned) -> bool:
     """Whether the fitted numbers of an effect mean nothing: its size is zero, or that of one of the effects
-    of which it is made; a shape parameter is at its bound or below what the sensors resolve, so that a
-    simpler law does the same; its size is at the upper bound; it is a friction in one direction and none in
-    the other (an offset larger than friction looks so); it is a load with which what the joint carries weighs
-    less than nothing; it is a torque that repeats, of which too little of a period was seen, as any smooth
-    torque looks so; or its torque is far above both the torques of its joint and the torque that it shows
-    in any balance (a peak of friction below the speeds that the data resolve)."""
+    of which it is made, or it is what the nominal model lists; a shape parameter is at its bound or below
+    what the sensors resolve, so that a simpler law does the same; its size is at the upper bound; it is a
+    friction in one direction and none in the other (an offset larger than friction looks so); it is a load
+    with which what the joint carries weighs less than nothing; it is a torque that repeats, of which too
+    little of a period was seen, as any smooth torque looks so; or its torque is far above both the torques of
+    its joint and the torque that it shows in any balance (a peak of friction below the speeds that the data
+    resolve)."""
     limits = problem.settings.search
     sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
     listed = next((e for e in problem.nominal if e.key == planned.key), None)
-    if _as_listed(planned, listed) if listed else any(_absent(part) for part in planned.parts):
+    if _is_as(planned, listed.values) if listed else any(_absent(part) for part in planned.parts):
         return True
     if any(np.any(np.isclose(size, p.high, rtol=limits.at_bound, atol=0.0)) for size, p in sizes):
         return True
@@ -134,14 +136,14 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
 
 
 def _absent(planned: Planned) -> bool:
-    return all(np.all(np.ravel(planned.values[p.name]) == p.null) for p in planned.effect.nulls)
+    return _is_as(planned, {p.name: p.null for p in planned.effect.nulls})
 
 
-def _as_listed(planned: Planned, listed: Planned) -> bool:
-    """Whether an effect is what the nominal model lists; a listed friction that is gone is a change."""
+def _is_as(planned: Planned, values: Mapping[str, Any]) -> bool:
+    """Whether an effect changes nothing of one with these values: its absence, or what the nominal model
+    lists, of which a friction that is gone is a change."""
     return all(
-        np.all(np.ravel(planned.values[p.name]) == np.ravel(listed.values[p.name]))
-        for p in planned.effect.nulls
+        np.all(np.ravel(planned.values[p.name]) == np.ravel(values[p.name])) for p in planned.effect.nulls
     )
 
 

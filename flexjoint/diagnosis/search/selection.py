@@ -335,7 +335,7 @@ def _with_other_joints(grown: Fit, found: Sequence[Fit], larger: Sequence[Fit], 
     joints, as a cause that acts within its joint does not replace one on another joint. A load acts on many
     joints, and may replace causes on all of them: of those on one noise level (`found`) only sets that are
     better than the best one with a load count, of the others (`larger`) only where none has a load."""
-    joints, others = {grown.effects[-1].joint}, []
+    joints, others, older = {grown.effects[-1].joint}, [], _keys(grown)
     loaded = not all(acts_within_a_joint(f.effects[-1]) for f in [grown, *larger])
     apart = (
         [] if loaded else [f for own in _by_joint(larger) for f in sorted(on_one_level(own, pool), key=score)]
@@ -348,7 +348,7 @@ def _with_other_joints(grown: Fit, found: Sequence[Fit], larger: Sequence[Fit], 
         if e.joint not in joints:
             joints.add(e.joint)
             # a law in the place of a listed one brings that one's change along
-            others += [one for one in trial.effects if one.joint == e.joint and one.key not in _keys(grown)]
+            others += [one for one in trial.effects if one.joint == e.joint and one.key not in older]
             # at the level that it leaves there: at a high one the fit would lose what it found
             inflation = np.minimum(inflation, trial.problem.level.inflation)
     if not others:

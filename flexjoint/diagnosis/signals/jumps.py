@@ -74,8 +74,7 @@ def unknown_shapes(readings: Readings, i: int, rate: float) -> np.ndarray:
 def _sizes(torque: np.ndarray) -> np.ndarray:
     """(N,) size of the jump between a sample and the next: by how much the predictions from both sides differ
     half-way, or by how much a sample in the middle of a jump differs from both."""
-    out = np.zeros_like(torque)
-    apart = np.abs(_predicted(torque, HALF_AHEAD)[:-1] - _predicted(torque[::-1], HALF_AHEAD)[::-1][1:])
+    out, apart = np.zeros_like(torque), np.abs(half_way_apart(torque))
     ahead, behind = _predicted(torque, ONE_AHEAD), _predicted(torque[::-1], ONE_AHEAD)[::-1]
     astray = np.zeros_like(torque)
     astray[1:-1] = np.minimum(np.abs(torque[1:-1] - ahead[:-2]), np.abs(torque[1:-1] - behind[2:]))
@@ -84,9 +83,15 @@ def _sizes(torque: np.ndarray) -> np.ndarray:
     return out
 
 
-def _predicted(torque: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def half_way_apart(x: np.ndarray) -> np.ndarray:
+    """(N - 1,) by how much a signal (N,) is higher half-way to the next sample as the three samples from
+    there on predict it, than as the three up to here do."""
+    return np.asarray(_predicted(x[::-1], HALF_AHEAD)[::-1][1:] - _predicted(x, HALF_AHEAD)[:-1])
+
+
+def _predicted(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """(N,) the sample that a parabola through three samples predicts; the sample itself where there are no
     three."""
-    out = torque.copy()
-    out[2:] = weights[0] * torque[2:] + weights[1] * torque[1:-1] + weights[2] * torque[:-2]
+    out = x.copy()
+    out[2:] = weights[0] * x[2:] + weights[1] * x[1:-1] + weights[2] * x[:-2]
     return out

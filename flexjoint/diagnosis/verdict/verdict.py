@@ -179,8 +179,7 @@ def _parameters(
         value: Any = planned.values[param.name]
         unit = param.unit_at(prismatic)
         std = spread.get(param.name, [0.0])
-        # of a listed law that is gone nothing is at a bound
-        bounds = [b for b in (param.low, param.high) if listed is None or b != param.null]
+        bounds = param.bounds(listed is not None)
         at_bound = any(np.isclose(v, bounds, rtol=1e-9).any() for v in np.ravel(value))
         if listed is not None and param.size == 1:
             value = value - listed.values[param.name]
