@@ -275,10 +275,25 @@ class Noise:
         extra = np.zeros((omega.size, m, m), dtype=complex)
         rows = {row.joint: r for r, row in enumerate(balances.rows) if row.balance == LINK}
         for k, covariance in self.spread.items():
+            reading = np.abs(self._of_link(k, omega)) ** 2 @ self.variances
             for i, ri in rows.items():
                 for j, rj in rows.items():
-                    extra[:, ri, rj] += self.variances[q[k]] * covariance[i, j] * omega**4
+                    extra[:, ri, rj] += reading * covariance[i, j] * omega**4
         return transfer, extra
+
+    def _of_link(self, k: int, omega: np.ndarray) -> np.ndarray:
+        """(F, 4 n) the angle of a joint's link by the readings: its encoder's, the motor's where the joint is
+        rigid, or else the motor's less the deflection that the spring's torque takes."""
+        n, balances = len(self.drives), self.balances
+        out = np.zeros((omega.size, 4 * n), dtype=complex)
+        if balances.motion.robot.joints[k].rigid:
+            out[:, n + k] = 1.0
+        elif ("q", k) not in balances.motion.missing:
+            out[:, k] = 1.0
+        else:
+            drive = self.drives[k]
+            out[:, n + k], out[:, 2 * n + k] = 1.0, -1.0 / (drive.K + 1j * omega * drive.D)
+        return out
 
     def spectrum(self, omega: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """(F, m, m) of the balances, filtered with this gain (F,)."""
@@ -306,11 +321,12 @@ class Noise:
             transfer, _ = self.at(omega[part])
             of_all = transfer @ readings[:, :, part].transpose(2, 1, 0)  # (F, m, draws)
             spectra[:, :, part] = of_all.transpose(2, 1, 0)
-        joints = self.balances.motion.robot.joints
-        links = [n + k if joint.rigid else k for k, joint in enumerate(joints)]  # their angles
+        links = np.array([self._of_link(k, omega) for k in range(n)])  # (n, F, 4 n)
+        unseen = [k for channel, k in self.balances.motion.missing if channel == "q" and k not in self.spread]
+        links[unseen] = 0.0
         beyond = self.balances.motion.rigid.mass - self.load[2]
         for own, noise in zip(spectra, readings, strict=True):
-            yield self._along_motion(own, -(omega**2) * noise[links], beyond)
+            yield self._along_motion(own, -(omega**2) * np.einsum("kfc,cf->kf", links, noise), beyond)
 
     def _along_motion(self, spectra: np.ndarray, accelerations: np.ndarray, beyond: np.ndarray) -> np.ndarray:
         """(m, N) balances of these spectra (m, F), and what the noise of the links' accelerations (n, F) adds
@@ -362,7 +378,8 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
                 variances[index] /= sensor_slope(e) ** 2
     for channel, i in balances.motion.missing:
         variances[q[i] if channel == "q" else theta[i]] = (UNBOUNDED * largest) ** 2
-    unmeasured = {i for channel, i in balances.motion.missing if channel == "q"}
+    told = np.isfinite(readings.tau_t[:, 0])
+    unmeasured = {i for channel, i in balances.motion.missing if channel == "q" and not told[i]}
     off = inertias[there] - mass
     spread = {
         k: np.einsum("ti,tj->ij", off[:, :, k], off[:, :, k]) / max(1, len(off))

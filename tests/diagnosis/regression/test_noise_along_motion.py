@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planting import FULL, PERFECT, ROBOTS, plant
-from support.diagnose_cases import as_recording, nominal
+from support.diagnose_cases import Case, as_recording, nominal
 from support.thorough import thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
@@ -43,6 +43,20 @@ def test_drawn_noise_is_white(robot: str) -> None:
 
     # 24 draws of some hundred samples a balance: the mean square scatters by 5 % at most
     np.testing.assert_allclose(np.mean(drawn**2, axis=(0, 2)), 1.0, atol=0.15)
+
+
+@pytest.mark.parametrize("robot", ["gimbal", "reach"])
+def test_links_that_springs_tell_of_have_the_noise_of_motors_and_springs(robot: str) -> None:
+    """Where no sensor reads a link, its angle is that of the motor less the deflection; what the noise of
+    both makes of inertias that vary is predicted, too: seven joints would be left at three times the noise.
+    """
+    whole = as_recording(Case(robot, "rich", 31).with_causes())
+    kept = {key: x for key, x in whole.columns.items() if key[0] not in ("q", "dq")}
+    problem = Problem(balances_of(nominal(robot), replace(whole, columns=kept)))
+    rows, joints = len(problem.balances.rows), len(problem.robot.joints)
+    left = problem.residual([]).reshape(rows, -1)[joints:]  # beside the balances that tell where links are
+
+    assert np.max(np.mean(left**2, axis=1)) < 1.3
 
 
 def test_noise_of_a_single_link_counts_once() -> None:
