@@ -283,14 +283,14 @@ class Noise:
 
     def _of_link(self, k: int, omega: np.ndarray) -> np.ndarray:
         """(F, 4 n) the angle of a joint's link by the readings: its encoder's, the motor's where the joint is
-        rigid, or else the motor's less the deflection that the spring's torque takes."""
+        rigid, or else the motor's less the deflection that the spring's torque takes; 0 where none tells."""
         n, balances = len(self.drives), self.balances
         out = np.zeros((omega.size, 4 * n), dtype=complex)
         if balances.motion.robot.joints[k].rigid:
             out[:, n + k] = 1.0
         elif ("q", k) not in balances.motion.missing:
             out[:, k] = 1.0
-        else:
+        elif k in self.spread:
             drive = self.drives[k]
             out[:, n + k], out[:, 2 * n + k] = 1.0, -1.0 / (drive.K + 1j * omega * drive.D)
         return out
@@ -322,8 +322,6 @@ class Noise:
             of_all = transfer @ readings[:, :, part].transpose(2, 1, 0)  # (F, m, draws)
             spectra[:, :, part] = of_all.transpose(2, 1, 0)
         links = np.array([self._of_link(k, omega) for k in range(n)])  # (n, F, 4 n)
-        unseen = [k for channel, k in self.balances.motion.missing if channel == "q" and k not in self.spread]
-        links[unseen] = 0.0
         beyond = self.balances.motion.rigid.mass - self.load[2]
         for own, noise in zip(spectra, readings, strict=True):
             yield self._along_motion(own, -(omega**2) * np.einsum("kfc,cf->kf", links, noise), beyond)
