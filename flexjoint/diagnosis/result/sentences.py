@@ -101,14 +101,17 @@ def needs_reason(diagnosis: Result) -> bool:
 
 
 def likely(diagnosis: Result) -> tuple[Finding, ...]:
-    """The causes that are more likely there than not."""
-    return tuple(f for f in diagnosis.findings if f.probability >= USUAL.verdict.likely)
+    """The causes that are more likely there than not, the one that removes most first."""
+    found = [f for f in diagnosis.findings if f.probability >= USUAL.verdict.likely]
+    return torque.by_size(found, diagnosis.remaining)
 
 
 def possible(diagnosis: Result) -> tuple[Finding, ...]:
-    """The causes that are more likely absent, and not in the extended model."""
+    """The causes that are more likely absent, and not in the extended model; the one that removes most
+    first."""
     limits = USUAL.verdict
-    return tuple(f for f in diagnosis.findings if limits.disbelieved < f.probability < limits.likely)
+    found = [f for f in diagnosis.findings if limits.disbelieved < f.probability < limits.likely]
+    return torque.by_size(found, diagnosis.remaining)
 
 
 def disbelieved(diagnosis: Result) -> str:
