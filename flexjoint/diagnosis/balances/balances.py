@@ -12,7 +12,7 @@ less noise. A rigid joint (infinite stiffness) has the sum of the first two as i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -24,13 +24,15 @@ from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.chain import Chain, Chains
 from flexjoint.diagnosis.balances.links.bending import Bending
 from flexjoint.diagnosis.balances.links.missing_links import MissingLinks
+from flexjoint.diagnosis.balances.links.movement import add, torque
+from flexjoint.diagnosis.balances.links.sprung_links import SprungLinks
 from flexjoint.diagnosis.balances.motion import Motion, reconstruct
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.signals.rounding import Colour, colours_of
 from flexjoint.diagnosis.signals.signals import centred, denoised, prepare
-from flexjoint.effects import Effect, Planned, Site
+from flexjoint.effects import Drive, Effect, Planned, Site
 from flexjoint.recording.table import Recording
-from flexjoint.robot.robot import Robot
+from flexjoint.robot.robot import Joint, Robot
 
 MOTOR, LINK, SPRING = "motor", "link", "spring"
 REMEMBERED = 5e6  # bytes of changes of the rigid-body torques
@@ -50,15 +52,19 @@ class Balances:
     def __init__(self, motion: Motion) -> None:
         self.motion, self.filter = motion, motion.filter
         self.chains, self.bending = Chains(motion), Bending(motion)
-        self.rows: tuple[Row, ...] = tuple(_rows(motion))
+        self.rows, self.telling = _rows(motion)
         self._rigid = self.filter.spectrum(motion.rigid.tau)  # evaluated on filtered motion already
         self._rates = [self.chains.jomega**order for order in range(3)]
         self._loads: LruCache[np.ndarray] = LruCache()
         rigid = [joint.rigid for joint in motion.robot.joints]
-        loaded = {
+        self._loaded = {
             r.joint: k for k, r in enumerate(self.rows) if r.balance == (MOTOR if rigid[r.joint] else LINK)
         }
-        self.missing_links = MissingLinks(motion, loaded)
+        motors, springs = (
+            {r.joint: k for k, r in enumerate(self.rows) if r.balance == name} for name in (MOTOR, SPRING)
+        )
+        self.missing_links = MissingLinks(motion, self._loaded, motors)
+        self._sprung_links = SprungLinks(motion, springs)
         self.colours: dict[int, Colour] = {}  # of noise, which only a twin without it tells
 
     @property
@@ -191,14 +197,42 @@ class Balances:
         position was computed from the joint's torque sensor, its spring carries the sensor's torque as it was
         recorded, and what effects make of that reading is in the spring's balance only: motor and link are
         balanced with the reading then, and nothing is left of the spring's own."""
-        series = self.time_series(self.residual(effects))
-        computed = {i for _, i in self.motion.missing}
-        for r, row in enumerate(self.rows):
-            if row.balance == SPRING and row.joint in computed:
-                series[self._at(MOTOR, row.joint)] -= series[r]
-                series[self._at(LINK, row.joint)] += series[r]
+        spectra = self.residual(effects)
+        series = self.time_series(spectra)
+        drives = [drive_of(joint, effects) for joint in self.motion.robot.joints]
+        for r, change in self._sprung(dict(enumerate(spectra)), drives).items():
+            series[r] += change
+        for i in (i for channel, i in self.motion.missing if channel == "theta"):
+            for r in self._at(SPRING, i):
+                series[self._at(MOTOR, i)] -= series[r]
+                series[self._at(LINK, i)] += series[r]
                 series[r] = 0.0
         return series
+
+    def moved(self, spectra: Mapping[int, np.ndarray], drives: Sequence[Drive]) -> dict[int, np.ndarray]:
+        """(N,) by row, what links without encoder add to balances with errors, as spectra (F,) by row, that
+        move them. Where a torque sensor tells of them it is by springs with these numbers."""
+        out = self._sprung(spectra, drives)
+        if self.missing_links:
+            errors = {r: self.time_series(spectrum) for r, spectrum in spectra.items()}
+            for r, change in out.items():
+                add(errors, r, change)
+            for r, change in self.missing_links.moved(errors).items():
+                add(out, r, change)
+        return out
+
+    def _sprung(self, spectra: Mapping[int, np.ndarray], drives: Sequence[Drive]) -> dict[int, np.ndarray]:
+        """The same of links of which a torque sensor tells: nothing is left of their springs' balances."""
+        out: dict[int, np.ndarray] = {}
+        for i, movement in self._sprung_links.movements(spectra, drives).items():
+            (spring,) = self._at(SPRING, i)
+            error = self.time_series(spectra[spring])
+            for row, sign in ((SPRING, -1.0), (MOTOR, -1.0), (LINK, 1.0)):
+                for r in self._at(row, i):
+                    add(out, r, sign * error)
+            for joint, r in self._loaded.items():
+                add(out, r, -torque(self.motion, joint, i, movement))
+        return out
 
     def _at(self, balance: str, joint: int) -> list[int]:
         """The number of a joint's balance; empty where it has none."""
@@ -324,6 +358,15 @@ def balances_of(robot: Robot, recording: Recording, settings: Settings = USUAL) 
     )
 
 
+def drive_of(joint: Joint, effects: Sequence[Planned]) -> Drive:
+    """A joint's actuator with some effects at work."""
+    drive = joint.drive
+    for e in effects:
+        if e.joint == joint.name:
+            drive = e.effect.edit_drive(drive, e.p)
+    return drive
+
+
 class OnJoint(Protocol):
     """An effect at its place, with or without numbers."""
 
@@ -352,10 +395,11 @@ def _moving_links(effects: Sequence[Planned]) -> list[Planned]:
     ]
 
 
-def _rows(motion: Motion) -> list[Row]:
-    """The balances in the order in which they are whitened, each beside those before it. First those that
-    tell where links without an encoder are, by the spring's torque or else the motor's: a link's balance
-    depends on where all links are, and one that had to tell it would carry the errors of other joints."""
+def _rows(motion: Motion) -> tuple[tuple[Row, ...], int]:
+    """The balances in the order in which they are whitened, each beside those before it, and how many of them
+    tell where links without an encoder are, by the spring's torque or else by their own load. These come
+    first: nothing is left of them (`Balances.moved`), and a motor's balance carries no errors of other
+    joints."""
     rows = []
     for i, joint in enumerate(motion.robot.joints):
         if np.isfinite(motion.readings.torque[i, 0]):
@@ -366,6 +410,6 @@ def _rows(motion: Motion) -> list[Row]:
         if np.isfinite(motion.readings.tau_t[i, 0]):
             rows.append(Row(SPRING, i))
     unseen = {i for channel, i in motion.missing if channel == "q"}
-    telling = {row.joint: row for row in rows if row.joint in unseen and row.balance in (MOTOR, SPRING)}
+    telling = {row.joint: row for row in rows if row.joint in unseen and row.balance in (LINK, SPRING)}
     first = list(telling.values())
-    return first + [row for row in rows if row not in first]
+    return (*first, *(row for row in rows if row not in first)), len(first)

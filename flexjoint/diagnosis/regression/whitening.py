@@ -16,13 +16,12 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import uniform_filter1d
 
-from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances, Row
+from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances, Row, drive_of
 from flexjoint.diagnosis.balances.motion import mass_along
 from flexjoint.diagnosis.signals.rounding import Colour
 from flexjoint.diagnosis.signals.signals import PADDED_SIGMAS, margin
 from flexjoint.effects import Drive, Planned, Signals, Site
 from flexjoint.rigidbody.numeric import inertial_of
-from flexjoint.robot.robot import Joint
 
 ROUNDING = 1e-11
 MASSES = 1000  # mass matrices along a motion
@@ -92,7 +91,8 @@ class Whitening:
         constant inertia; along a motion the noise of one encoder reaches several links by inertias that vary,
         so that some correlation of their balances is left, which these draws have."""
         drawn = self.noise.drawn(SAMPLES, self.taper.size, np.random.default_rng(DRAWN))
-        return np.array([self.white(self.band_of(dict(enumerate(one)))).ravel() for one in drawn])
+        spectrum = self.noise.balances.filter.spectrum
+        return np.array([self.apply(spectrum(one)).ravel() for one in drawn])
 
     def apply(self, spectra: np.ndarray) -> np.ndarray:
         """(m, F) -> (m, K): whitened series at the usable samples."""
@@ -100,21 +100,16 @@ class Whitening:
 
     def band(self, spectra: Mapping[int, np.ndarray]) -> Band:
         """The part of some balances' spectra (F,), by row, that is whitened."""
-        used = np.array([row for row in sorted(spectra) if np.any(spectra[row])], dtype=int)
-        if not used.size:
-            return Band(used, np.zeros((0, self.taper.size), dtype=complex))
-        series = fft.irfft(np.array([spectra[row] for row in used]), self.size, axis=-1)
-        links = self.noise.balances.missing_links
-        if links:
-            count = self.noise.balances.filter.count
-            moved = links.moved(used.tolist(), series[:, :count])
-            rows = np.array(sorted({*used.tolist(), *moved}), dtype=int)
-            both = np.zeros((rows.size, self.size))
-            both[np.searchsorted(rows, used)] = series
-            for row, change in moved.items():
-                both[np.searchsorted(rows, row), :count] += change
-            used, series = rows, both
-        return self._windowed(used, series)
+        own = {row: spectra[row] for row in sorted(spectra) if np.any(spectra[row])}
+        if not own:
+            return Band(np.zeros(0, dtype=int), np.zeros((0, self.taper.size), dtype=complex))
+        moved = self.noise.balances.moved(own, self.noise.drives)
+        rows = np.array(sorted({*own, *moved}), dtype=int)
+        series = np.zeros((rows.size, self.size))
+        series[np.searchsorted(rows, list(own))] = fft.irfft(np.array(list(own.values())), self.size, axis=-1)
+        for row, change in moved.items():
+            series[np.searchsorted(rows, row), : change.size] += change
+        return self._windowed(rows, series)
 
     def band_of(self, series: Mapping[int, np.ndarray]) -> Band:
         """The whitened part of series (N,) of some balances, by row, that links without encoder have moved
@@ -211,6 +206,7 @@ def _steady(whitening: Whitening) -> np.ndarray:
     factor = np.moveaxis(whitening.matrix, -1, 0)
     for _ in range(DRAWS):
         white = fft.rfft(rng.standard_normal((rows, whitening.length)), axis=-1) / whitening.scale
+        white[: whitening.noise.balances.telling] = 0.0  # links are moved so that nothing is left of these
         balances = np.linalg.solve(factor, white.T[:, :, None])[:, :, 0].T
         series = fft.irfft(balances, whitening.size, axis=-1) * (1.0 - whitening.window)
         lost = fft.rfft(series, axis=-1)[:, :band] * whitening.taper
@@ -322,6 +318,7 @@ class Noise:
             of_all = transfer @ readings[:, :, part].transpose(2, 1, 0)  # (F, m, draws)
             spectra[:, :, part] = of_all.transpose(2, 1, 0)
         links = np.array([self._of_link(k, omega) for k in range(n)])  # (n, F, 4 n)
+        links[[k for channel, k in self.balances.motion.missing if channel == "q"]] = 0.0  # moved by balances
         beyond = self.balances.motion.rigid.mass - self.load[2]
         for own, noise in zip(spectra, readings, strict=True):
             yield self._along_motion(own, -(omega**2) * np.einsum("kfc,cf->kf", links, noise), beyond)
@@ -384,7 +381,7 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
         for k, joint in enumerate(robot.joints)
         if k not in unmeasured and not joint.rigid
     }
-    drives = tuple(_drive(joint, effects) for joint in robot.joints)
+    drives = tuple(drive_of(joint, effects) for joint in robot.joints)
     of_theta, of_torque = np.sqrt(variances[theta]), np.sqrt(variances[3 * n :])
     fed_back = readings.feedback * of_theta
     # a torque with less noise than that was made of other readings
@@ -439,14 +436,6 @@ def shapes_noise(e: Planned, balances: Balances) -> bool:
         joint = balances.motion.robot.joint_names.index(e.joint)
         return bool(balances.motion.readings.noise["torque"][joint] > 0.0)
     return changes_noise(e) or e.effect.overrides("slope") or e.effect.for_rigid
-
-
-def _drive(joint: Joint, effects: Sequence[Planned]) -> Drive:
-    drive = joint.drive
-    for e in effects:
-        if e.joint == joint.name:
-            drive = e.effect.edit_drive(drive, e.p)
-    return drive
 
 
 def _masses(balances: Balances, effects: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,11 +1,12 @@
 """Links that only their motors tell of: what an error of the balances moves them by, along a motion.
 
 The angle of such a link follows from the nominal model (motion.py), and a number that is off, or an effect,
-moves it. Whitening eliminates that to first order with the mass matrix and the stiffness of the mean posture
-(whitening.py). What is left is their change along the motion, times the movement, which is simulated here by
-the equations of the links, linear about the nominal motion:
+moves it, as its balance asks. The movement is simulated here by the equations of the links, linear about the
+nominal motion:
 
     M(t) dq'' + (C(t) + D) dq' + (G(t) + K) dq = error of the links' balances
+
+Then nothing is left of these balances, and the springs pull at the motors.
 """
 
 from __future__ import annotations
@@ -15,22 +16,28 @@ from functools import cached_property
 
 import numpy as np
 
-from flexjoint.diagnosis.balances.links.swinging import Movement, Swinging
+from flexjoint.diagnosis.balances.links.movement import Movement, add, torque
+from flexjoint.diagnosis.balances.links.swinging import Swinging
 from flexjoint.diagnosis.balances.motion import Links, Motion
+from flexjoint.diagnosis.signals.signals import reach_of_ends
 
-SLOWEST = 0.1  # of a sample: a link whose spring moves it faster follows it at once
 FREE = 100.0  # times its RMS, a deflection that nothing prevents
 GROWN = 1e3  # times a start, in rad or rad/s, from which a movement does not settle
 
 
 class MissingLinks:
-    """The links of a motion that have neither encoder nor torque sensor. (A torque sensor tells of a link by
-    itself, and its own errors would move it.)"""
+    """The links of a motion that have neither encoder nor torque sensor."""
 
-    def __init__(self, motion: Motion, loaded: Mapping[int, int], links: Links | None = None) -> None:
-        """`loaded` is the row, by joint, of the balance that carries the link's load. `links` are the numbers
-        by which they move, nominal ones without."""
-        self._motion, self._loaded = motion, loaded
+    def __init__(
+        self,
+        motion: Motion,
+        loaded: Mapping[int, int],
+        motors: Mapping[int, int],
+        links: Links | None = None,
+    ) -> None:
+        """`loaded` is the row, by joint, of the balance that carries the link's load, `motors` that of the
+        motor's. `links` are the numbers by which they move, nominal ones without."""
+        self._motion, self._loaded, self._motors = motion, loaded, motors
         joints = motion.robot.joints
         self._drives = [joint.drive for joint in joints] if links is None else list(links.drives)
         self._inertial = None if links is None else links.inertial
@@ -61,18 +68,25 @@ class MissingLinks:
         """(2 k,) each link in turn elsewhere, by a multiple of its deflection's RMS, or faster, by that in
         the time of an oscillation."""
         k = len(self._driven)
-        mass, _, stiffness = (np.mean(x, axis=0) for x in self._driven_matrices)
+        mass, stiffness = (np.mean(x, axis=0) for x in (self._swinging.followed, self._swinging.stiffness))
         deflection = FREE * np.std(self._motion.theta - self._motion.q, axis=1)[self._driven]
         rates = np.sqrt(np.abs(np.diag(stiffness)) / np.diag(mass))
         return [np.eye(2 * k)[j] * size for j, size in enumerate((*deflection, *(deflection * rates)))]
 
-    def moved(self, rows: Sequence[int], series: np.ndarray) -> dict[int, np.ndarray]:
-        """(N,) by row, what errors (k, N) of some rows of the balances add to balances, as the links that
-        they move are not in the mean posture; nothing where no such link moves."""
-        error = dict(zip(rows, series, strict=True))
+    def moved(self, errors: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
+        """(N,) by row, what errors (N,) of balances, by row, add to balances, by the links that they move;
+        nothing where no such link moves."""
+        if not self:
+            return {}
         still = np.zeros(self._motion.filter.count)
-        force = np.array([error.get(self._loaded[i], still) for i in self._driven])
-        return self._added(self._by_load(force)) if np.any(force) else {}
+        force = np.array([errors.get(self._loaded[i], still) for i in self._driven])
+        if not np.any(force):
+            return {}
+        taken = {self._loaded[i]: -x for i, x in zip(self._driven, force, strict=True)}
+        # near its ends the filter distorts a balance, and a link would swing on from that
+        begin = reach_of_ends(self._motion.readings)
+        inner = np.pad(force[:, begin:-begin], ((0, 0), (begin, begin)), mode="edge")
+        return {**taken, **self._added(self._by_load(inner))}
 
     def free(self) -> list[dict[int, np.ndarray]]:
         """What the links add to the rows of balances, where each in turn starts elsewhere, or faster."""
@@ -83,7 +97,7 @@ class MissingLinks:
 
     def beside(self, links: Links) -> MissingLinks:
         """The same links, moved by other numbers."""
-        return MissingLinks(self._motion, self._loaded, links)
+        return MissingLinks(self._motion, self._loaded, self._motors, links)
 
     def swing(self, series: Mapping[int, np.ndarray]) -> tuple[np.ndarray, float]:
         """(2 k,) by how much the links start elsewhere [rad], and faster [rad/s], so that they leave least of
@@ -107,12 +121,14 @@ class MissingLinks:
         return np.asarray(share @ np.array(starts)), float(-share @ pull / (y @ y))
 
     def _added(self, movements: Sequence[tuple[int, Movement]]) -> dict[int, np.ndarray]:
-        """(N,) by row, what movements of links add to the balances, beyond those in the mean posture."""
+        """(N,) by row, what movements of these links add to the balances of motors and of other links."""
         out: dict[int, np.ndarray] = {}
         for i, movement in movements:
+            if i in self._motors:
+                add(out, self._motors[i], self._drives[i].K * movement.q + self._drives[i].D * movement.v)
             for joint, row in self._loaded.items():
-                change = -self._torque(joint, i, movement)
-                out[row] = out[row] + change if row in out else change
+                if joint not in self._driven:
+                    add(out, row, -torque(self._motion, joint, i, movement))
         return out
 
     def _by_load(self, force: np.ndarray, start: np.ndarray | None = None) -> list[tuple[int, Movement]]:
@@ -132,18 +148,4 @@ class MissingLinks:
         by_q, by_v, mass = (x[pick] for x in along)
         drives = [self._drives[i] for i in self._driven]
         damping, stiffness = (np.diag([getattr(drive, name) for drive in drives]) for name in ("D", "K"))
-        # a robot file may give a small link no inertia about its axis
-        least = np.diag(stiffness) * (SLOWEST * self._motion.filter.period) ** 2
-        own = np.diagonal(mass, axis1=1, axis2=2)
-        mass = mass + np.maximum(0.0, least - own)[:, :, None] * np.eye(len(drives))
         return np.asarray(mass), by_v + damping, by_q + stiffness
-
-    def _torque(self, joint: int, i: int, movement: Movement) -> np.ndarray:
-        """(N,) the torque at a joint by which its load changes with a movement of link i, beyond that in the
-        mean posture."""
-        rigid = self._motion.rigid
-        total = np.zeros(self._motion.filter.count)
-        for gain, x in ((rigid.mass, movement.a), (rigid.by_v, movement.v), (rigid.by_q, movement.q)):
-            along = gain[:, joint, i].astype(float)
-            total += (along - np.mean(along[self._motion.readings.valid])) * x
-        return total

@@ -1,0 +1,33 @@
+"""Movements of links about the motion along which balances are evaluated, and the torques that these take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexjoint.diagnosis.balances.motion import Motion
+
+
+@dataclass(frozen=True)
+class Movement:
+    """dq, dq' and dq'' (N,) of a link."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+
+def torque(motion: Motion, joint: int, i: int, movement: Movement) -> np.ndarray:
+    """(N,) the torque at a joint by which its load changes with a movement of link i, to first order."""
+    rigid = motion.rigid
+    return np.asarray(
+        rigid.mass[:, joint, i] * movement.a
+        + rigid.by_v[:, joint, i] * movement.v
+        + rigid.by_q[:, joint, i] * movement.q
+    )
+
+
+def add(by_row: dict[int, np.ndarray], row: int, series: np.ndarray) -> None:
+    """Add a series (N,) to that of a row, in place."""
+    by_row[row] = by_row[row] + series if row in by_row else series
