@@ -7,7 +7,8 @@ Per flexible joint, with s the spring torque that the model makes of the encoder
     spring  F tau_t - s
 
 where F is the Gaussian filter. The measured tau_t stays out of the first two: encoders give s with far
-less noise. A rigid joint (infinite stiffness) has the sum of the first two as its motor balance.
+less noise. Where the link has no encoder, s is F tau_t in them. A rigid joint (infinite stiffness) has the
+sum of the first two as its motor balance.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from flexjoint.core.running.lru_cache import LruCache
 from flexjoint.diagnosis.balances.chain import Chain, Chains
 from flexjoint.diagnosis.balances.links.bending import Bending
 from flexjoint.diagnosis.balances.links.missing_links import MissingLinks
-from flexjoint.diagnosis.balances.links.movement import add, torque
+from flexjoint.diagnosis.balances.links.movement import Numbers, add, torque
 from flexjoint.diagnosis.balances.links.sprung_links import SprungLinks
 from flexjoint.diagnosis.balances.motion import Motion, reconstruct
 from flexjoint.diagnosis.settings import USUAL, Settings
@@ -64,7 +65,7 @@ class Balances:
             {r.joint: k for k, r in enumerate(self.rows) if r.balance == name} for name in (MOTOR, SPRING)
         )
         self.missing_links = MissingLinks(motion, self._loaded, motors)
-        self._sprung_links = SprungLinks(motion, springs)
+        self.sprung_links = SprungLinks(motion, springs)
         self.colours: dict[int, Colour] = {}  # of noise, which only a twin without it tells
 
     @property
@@ -194,13 +195,12 @@ class Balances:
 
     def residual_torques(self, effects: Sequence[Planned]) -> np.ndarray:
         """(rows, N) the residual as torques [N m] that measured channels tell, one balance at a time. Where a
-        position was computed from the joint's torque sensor, its spring carries the sensor's torque as it was
-        recorded, and what effects make of that reading is in the spring's balance only: motor and link are
-        balanced with the reading then, and nothing is left of the spring's own."""
+        position was computed from the joint's torque sensor, motor and link are balanced with its reading,
+        and nothing is left of the spring's own balance."""
         spectra = self.residual(effects)
         series = self.time_series(spectra)
-        drives = [drive_of(joint, effects) for joint in self.motion.robot.joints]
-        for r, change in self._sprung(dict(enumerate(spectra)), drives).items():
+        numbers = Numbers(tuple(drive_of(joint, effects) for joint in self.motion.robot.joints))
+        for r, change in self._sprung(dict(enumerate(spectra)), numbers).items():
             series[r] += change
         for i in (i for channel, i in self.motion.missing if channel == "theta"):
             for r in self._at(SPRING, i):
@@ -209,29 +209,26 @@ class Balances:
                 series[r] = 0.0
         return series
 
-    def moved(self, spectra: Mapping[int, np.ndarray], drives: Sequence[Drive]) -> dict[int, np.ndarray]:
-        """(N,) by row, what links without encoder add to balances with errors, as spectra (F,) by row, that
-        move them. Where a torque sensor tells of them it is by springs with these numbers."""
-        out = self._sprung(spectra, drives)
+    def moved(self, spectra: Mapping[int, np.ndarray], numbers: Numbers) -> dict[int, np.ndarray]:
+        """(N,) by row, what links without encoder add to balances of a robot with these numbers, whose
+        errors, as spectra (F,) by row, move them."""
+        out = self._sprung(spectra, numbers)
         if self.missing_links:
             errors = {r: self.time_series(spectrum) for r, spectrum in spectra.items()}
             for r, change in out.items():
                 add(errors, r, change)
-            for r, change in self.missing_links.moved(errors).items():
+            for r, change in self.missing_links.moved(errors, numbers).items():
                 add(out, r, change)
         return out
 
-    def _sprung(self, spectra: Mapping[int, np.ndarray], drives: Sequence[Drive]) -> dict[int, np.ndarray]:
+    def _sprung(self, spectra: Mapping[int, np.ndarray], numbers: Numbers) -> dict[int, np.ndarray]:
         """The same of links of which a torque sensor tells: nothing is left of their springs' balances."""
         out: dict[int, np.ndarray] = {}
-        for i, movement in self._sprung_links.movements(spectra, drives).items():
-            (spring,) = self._at(SPRING, i)
-            error = self.time_series(spectra[spring])
-            for row, sign in ((SPRING, -1.0), (MOTOR, -1.0), (LINK, 1.0)):
-                for r in self._at(row, i):
-                    add(out, r, sign * error)
+        for i, movement in self.sprung_links.movements(spectra, numbers.drives).items():
+            row = self.sprung_links.rows[i]
+            add(out, row, -self.time_series(spectra[row]))
             for joint, r in self._loaded.items():
-                add(out, r, -torque(self.motion, joint, i, movement))
+                add(out, r, -torque(self.motion, joint, i, movement, numbers))
         return out
 
     def _at(self, balance: str, joint: int) -> list[int]:
@@ -284,12 +281,13 @@ class Balances:
         return [*(other for other in own if other.effect.site is not Site.BODY), *bodies]
 
     def _row(self, row: Row, chain: Chain, load: np.ndarray | float) -> np.ndarray:
-        if row.balance == MOTOR:
-            rigid = self.motion.robot.joints[row.joint].rigid
-            return chain.scale * (chain.motor - (load if rigid else chain.spring_torque))
+        if row.balance == SPRING:
+            return chain.reading - chain.spring_torque
+        spring = chain.reading if row.joint in self.sprung_links else chain.spring_torque
         if row.balance == LINK:
-            return chain.spring_torque + chain.link - load
-        return chain.reading - chain.spring_torque
+            return spring + chain.link - load
+        rigid = self.motion.robot.joints[row.joint].rigid
+        return chain.scale * (chain.motor - (load if rigid else spring))
 
     def _carries_load(self, row: Row) -> bool:
         return row.balance == LINK or (row.balance == MOTOR and self.motion.robot.joints[row.joint].rigid)

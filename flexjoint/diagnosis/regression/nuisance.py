@@ -199,10 +199,16 @@ class Columns:
                 ("spring_stiffness", drive.K * phi, tolerance.stiffness),
                 ("spring_damping", drive.D * s * phi, tolerance.damping),
             ):
-                change = spread * spectrum
-                columns.append(self._column({(MOTOR, i): -change, (LINK, i): change, (SPRING, i): -change}))
+                columns.append(self._column(self._pulled(i, spread * spectrum)))
                 self.nuisance.append(NominalNumber(name, joint=joint.name, std=spread))
         return columns
+
+    def _pulled(self, i: int, torque: np.ndarray) -> dict[tuple[str, int], np.ndarray]:
+        """What a torque (F,) by which joint i's spring pulls more changes of the balances."""
+        sensed = {(SPRING, i): -torque}
+        return (
+            sensed if i in self.balances.sprung_links else {(MOTOR, i): -torque, (LINK, i): torque} | sensed
+        )
 
     def _inertial_columns(self) -> list[np.ndarray]:
         """Mass, centre of mass and inertia about it of every actuated link, each with its own tolerance."""
@@ -253,7 +259,7 @@ class Columns:
                     NominalNumber("motor_encoder_offset", joint=joint.name, std=limits.offset_deviation)
                 )
                 continue
-            twist = {(MOTOR, i): -stiff * unit, (LINK, i): stiff * unit, (SPRING, i): -stiff * unit}
+            twist = self._pulled(i, stiff * unit)
             columns.append(self._column(twist))
             self.nuisance.append(
                 NominalNumber("motor_encoder_offset", joint=joint.name, std=limits.offset_deviation)

@@ -16,7 +16,8 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import uniform_filter1d
 
-from flexjoint.diagnosis.balances.balances import LINK, MOTOR, Balances, Row, drive_of
+from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, Balances, Row, drive_of
+from flexjoint.diagnosis.balances.links.movement import Numbers
 from flexjoint.diagnosis.balances.motion import mass_along
 from flexjoint.diagnosis.signals.rounding import Colour
 from flexjoint.diagnosis.signals.signals import PADDED_SIGMAS, margin
@@ -103,7 +104,7 @@ class Whitening:
         own = {row: spectra[row] for row in sorted(spectra) if np.any(spectra[row])}
         if not own:
             return Band(np.zeros(0, dtype=int), np.zeros((0, self.taper.size), dtype=complex))
-        moved = self.noise.balances.moved(own, self.noise.drives)
+        moved = self.noise.balances.moved(own, self.noise.numbers)
         rows = np.array(sorted({*own, *moved}), dtype=int)
         series = np.zeros((rows.size, self.size))
         series[np.searchsorted(rows, list(own))] = fft.irfft(np.array(list(own.values())), self.size, axis=-1)
@@ -236,10 +237,16 @@ class Noise:
     drives: tuple[Drive, ...]
     scales: tuple[float, ...]  # of the motors' balances, which are counted in recorded torque
     load: tuple[np.ndarray, np.ndarray, np.ndarray]  # (n, n) torques by q, q' and q''
+    heavier: np.ndarray | None  # (n, n) by which the last is more than the nominal robot's; None: nothing
     variances: np.ndarray  # (4 n,) of q, theta, tau_t and the torque
     colours: Mapping[int, Colour]  # of those that are not white
     shared: np.ndarray  # (n,) covariance of a joint's torque and theta, where the torque was made of theta
     spread: Mapping[int, np.ndarray]  # (n, n) covariance of the mass matrix's columns along the motion
+
+    @property
+    def numbers(self) -> Numbers:
+        """The numbers on which links without encoder move."""
+        return Numbers(self.drives, self.heavier, self.scales)
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """T (F, m, channels), and the part (F, m, m) that a varying mass matrix adds."""
@@ -260,7 +267,8 @@ class Noise:
                     for j, share in turns.items() if row.joint in turns and k in ties.coupled else ():
                         shaft = turns[row.joint] * share * (motor.B * s**2 + motor.D_m * s)
                         transfer[:, r, theta[j]] -= shaft
-            for column, entry in _row_transfer(row, drive, links[row.joint], s, columns):
+            sprung = row.joint in balances.sprung_links
+            for column, entry in _row_transfer(row, drive, links[row.joint], sprung, s, columns):
                 transfer[:, r, column] += entry
             if row.balance == LINK or (row.balance == MOTOR and links[row.joint]):
                 for k in range(n):
@@ -356,9 +364,10 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
     limits = balances.settings.regression
     robot, readings, rigid = balances.motion.robot, balances.motion.readings, balances.motion.rigid
     n, used = len(robot.joints), readings.valid
-    inertias, there = _masses(balances, effects)
+    inertias, there, nominal = _masses(balances, effects)
     by_q, by_v = (x[used].mean(axis=0, dtype=float) for x in (rigid.by_q, rigid.by_v))
     mass = inertias[there].mean(axis=0, dtype=float)
+    heavier = None if nominal is None else mass - nominal[there].mean(axis=0, dtype=float)
     q, theta, tau_t = (k * n + np.arange(n) for k in range(3))
     noise = np.stack([readings.noise[name] for name in ("q", "theta", "tau_t", "torque")]).ravel()
     largest = max(float(np.max(noise[: 2 * n])), 1e-7)
@@ -394,18 +403,28 @@ def _noise(balances: Balances, effects: Sequence[Planned]) -> Noise:
         )
         for i, joint in enumerate(robot.joints)
     )
-    return Noise(balances, drives, scales, (by_q, by_v, mass), variances, balances.colours, shared, spread)
+    return Noise(
+        balances, drives, scales, (by_q, by_v, mass), heavier, variances, balances.colours, shared, spread
+    )
 
 
 def _row_transfer(
-    row: Row, drive: Drive, rigid: bool, s: np.ndarray, columns: tuple[np.ndarray, ...]
+    row: Row,
+    drive: Drive,
+    rigid: bool,
+    sprung: bool,
+    s: np.ndarray,
+    columns: tuple[np.ndarray, ...],
 ) -> list[tuple[int, np.ndarray | float]]:
-    """Sensitivity of one balance to the readings of its own joint (without the rigid body's load)."""
+    """Sensitivity of one balance to the readings of its own joint (without the rigid body's load), which is
+    `sprung` where the spring's torque is the sensor's."""
     q, theta, tau_t, torque = (int(column[row.joint]) for column in columns)
     shaft = drive.B * s**2 + drive.D_m * s
     if rigid:
         return [(torque, 1.0), (theta, -shaft)]
     impedance = drive.K + drive.D * s
+    if sprung and row.balance != SPRING:
+        return [(tau_t, 1.0)] if row.balance == LINK else [(torque, 1.0), (theta, -shaft), (tau_t, -1.0)]
     if row.balance == MOTOR:
         return [(torque, 1.0), (theta, -shaft - impedance), (q, impedance)]
     if row.balance == LINK:
@@ -438,9 +457,12 @@ def shapes_noise(e: Planned, balances: Balances) -> bool:
     return changes_noise(e) or e.effect.overrides("slope") or e.effect.for_rigid
 
 
-def _masses(balances: Balances, effects: Sequence[Planned]) -> tuple[np.ndarray, np.ndarray]:
-    """(N', n, n) mass matrices along the motion with what BODY effects add, and (N',) which of them are of
-    usable samples. Where they are computed again, a part of the samples is enough for mean and spread."""
+def _masses(
+    balances: Balances, effects: Sequence[Planned]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """(N', n, n) mass matrices along the motion with what BODY effects add, (N',) which of them are of usable
+    samples, and the nominal ones (N', n, n), if these are others. Where they are computed again, a part of
+    the samples is enough for mean and spread."""
     motion = balances.motion
     inertial = inertial_of(motion.robot.model)
     changed = False
@@ -451,6 +473,6 @@ def _masses(balances: Balances, effects: Sequence[Planned]) -> tuple[np.ndarray,
             changed = True
     valid = motion.readings.valid
     if not changed:
-        return motion.rigid.mass, valid
+        return motion.rigid.mass, valid, None
     every = max(1, valid.size // MASSES)
-    return mass_along(motion, inertial, every), valid[::every]
+    return mass_along(motion, inertial, every), valid[::every], motion.rigid.mass[::every]

@@ -6,7 +6,9 @@ nominal motion:
 
     M(t) dq'' + (C(t) + D) dq' + (G(t) + K) dq = error of the links' balances
 
-Then nothing is left of these balances, and the springs pull at the motors.
+Then nothing is left of these balances, and the springs pull at the motors. The equations are those of the
+nominal robot. With other numbers the same movement leaves a part of the balances, which whitening, by these
+numbers and the mean posture, eliminates.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from flexjoint.diagnosis.balances.links.movement import Movement, add, torque
+from flexjoint.diagnosis.balances.links.movement import Movement, Numbers, add, torque
 from flexjoint.diagnosis.balances.links.swinging import Swinging
 from flexjoint.diagnosis.balances.motion import Links, Motion
 from flexjoint.diagnosis.signals.signals import reach_of_ends
@@ -73,27 +75,27 @@ class MissingLinks:
         rates = np.sqrt(np.abs(np.diag(stiffness)) / np.diag(mass))
         return [np.eye(2 * k)[j] * size for j, size in enumerate((*deflection, *(deflection * rates)))]
 
-    def moved(self, errors: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
-        """(N,) by row, what errors (N,) of balances, by row, add to balances, by the links that they move;
-        nothing where no such link moves."""
+    def moved(self, errors: Mapping[int, np.ndarray], numbers: Numbers) -> dict[int, np.ndarray]:
+        """(N,) by row, what errors (N,) of balances, by row, add to balances of a robot with these numbers,
+        by the links that they move; nothing where no such link moves."""
         if not self:
             return {}
         still = np.zeros(self._motion.filter.count)
         force = np.array([errors.get(self._loaded[i], still) for i in self._driven])
         if not np.any(force):
             return {}
-        taken = {self._loaded[i]: -x for i, x in zip(self._driven, force, strict=True)}
         # near its ends the filter distorts a balance, and a link would swing on from that
         begin = reach_of_ends(self._motion.readings)
         inner = np.pad(force[:, begin:-begin], ((0, 0), (begin, begin)), mode="edge")
-        return {**taken, **self._added(self._by_load(inner))}
+        return self._added(self._by_load(inner), numbers)
 
     def free(self) -> list[dict[int, np.ndarray]]:
         """What the links add to the rows of balances, where each in turn starts elsewhere, or faster."""
         if not self:
             return []
         still = np.zeros((len(self._driven), self._motion.filter.count))
-        return [self._added(self._by_load(still, start)) for start in self._starts]
+        numbers = Numbers(tuple(self._drives))
+        return [self._added(self._by_load(still, start), numbers) for start in self._starts]
 
     def beside(self, links: Links) -> MissingLinks:
         """The same links, moved by other numbers."""
@@ -120,15 +122,16 @@ class MissingLinks:
         share = np.linalg.solve(by_start @ by_start.T + np.eye(len(starts)), -pull)
         return np.asarray(share @ np.array(starts)), float(-share @ pull / (y @ y))
 
-    def _added(self, movements: Sequence[tuple[int, Movement]]) -> dict[int, np.ndarray]:
-        """(N,) by row, what movements of these links add to the balances of motors and of other links."""
+    def _added(self, movements: Sequence[tuple[int, Movement]], numbers: Numbers) -> dict[int, np.ndarray]:
+        """(N,) by row, what movements of these links add to the balances."""
         out: dict[int, np.ndarray] = {}
         for i, movement in movements:
+            pull = numbers.drives[i].K * movement.q + numbers.drives[i].D * movement.v
+            add(out, self._loaded[i], -pull)
             if i in self._motors:
-                add(out, self._motors[i], self._drives[i].K * movement.q + self._drives[i].D * movement.v)
+                add(out, self._motors[i], (numbers.scales[i] if numbers.scales else 1.0) * pull)
             for joint, row in self._loaded.items():
-                if joint not in self._driven:
-                    add(out, row, -torque(self._motion, joint, i, movement))
+                add(out, row, -torque(self._motion, joint, i, movement, numbers))
         return out
 
     def _by_load(self, force: np.ndarray, start: np.ndarray | None = None) -> list[tuple[int, Movement]]:

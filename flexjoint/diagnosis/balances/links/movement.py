@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexjoint.diagnosis.balances.motion import Motion
+from flexjoint.effects import Drive
 
 
 @dataclass(frozen=True)
@@ -18,13 +19,22 @@ class Movement:
     a: np.ndarray
 
 
-def torque(motion: Motion, joint: int, i: int, movement: Movement) -> np.ndarray:
+@dataclass(frozen=True)
+class Numbers:
+    """The numbers of the robot on which links move: actuators by joint, and what the mass matrix (n, n) is
+    more than the nominal one, in the mean posture."""
+
+    drives: tuple[Drive, ...]
+    heavier: np.ndarray | None = None  # nothing
+    scales: tuple[float, ...] = ()  # of the motors' balances, by joint; 1 without
+
+
+def torque(motion: Motion, joint: int, i: int, movement: Movement, numbers: Numbers) -> np.ndarray:
     """(N,) the torque at a joint by which its load changes with a movement of link i, to first order."""
     rigid = motion.rigid
+    mass = rigid.mass[:, joint, i] + (0.0 if numbers.heavier is None else numbers.heavier[joint, i])
     return np.asarray(
-        rigid.mass[:, joint, i] * movement.a
-        + rigid.by_v[:, joint, i] * movement.v
-        + rigid.by_q[:, joint, i] * movement.q
+        mass * movement.a + rigid.by_v[:, joint, i] * movement.v + rigid.by_q[:, joint, i] * movement.q
     )
 
 

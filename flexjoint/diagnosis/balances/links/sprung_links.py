@@ -30,14 +30,17 @@ class SprungLinks:
         """`springs` is the row, by joint, of the spring's balance."""
         self._motion = motion
         unseen = {i for channel, i in motion.missing if channel == "q"}
-        self._rows = {i: row for i, row in springs.items() if i in unseen}
+        self.rows = {i: row for i, row in springs.items() if i in unseen}
+
+    def __contains__(self, i: int) -> bool:
+        return i in self.rows
 
     def movements(self, spectra: Mapping[int, np.ndarray], drives: Sequence[Drive]) -> dict[int, Movement]:
         """By joint, what errors of balances, as spectra (F,) by row, move links by that have springs with
         these numbers."""
         clock = self._motion.filter
         s, out = 1j * clock.omega, {}
-        for i, row in self._rows.items():
+        for i, row in self.rows.items():
             if row in spectra:
                 moved = -spectra[row] / (drives[i].K + drives[i].D * s)
                 series = fft.irfft(np.array([moved, s * moved, s**2 * moved]), clock.size, axis=-1)
