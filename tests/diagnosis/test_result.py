@@ -13,7 +13,7 @@ from support import fake_diagnosis
 import flexjoint as fj
 from flexjoint.core.errors import FlexJointError, RobotError, UnknownNameError
 from flexjoint.core.text import Line, Table, as_html, plain
-from flexjoint.diagnosis.result import Finding
+from flexjoint.diagnosis.result import Finding, Removed, sentences, to_json
 
 BACKLASH = Finding(
     "backlash", "elbow", 0.9, {}, None, 0.4, "mechanical", fj.effect("backlash", "elbow", gap=2e-3)
@@ -32,6 +32,17 @@ def test_a_diagnosis_prints_the_summary() -> None:
     for said in ("motor Coulomb friction level 0.401 ± 0.003 N m 97 %", "Next experiment"):
         assert said in words
     assert repr(TWO).startswith("Diagnosis(verdict='causes'")  # which stays what a debugger needs
+
+
+def test_what_is_told_first_is_what_removes_most_torque_error() -> None:
+    """A friction at a quiet joint gains more, in that joint's noise, than a load that is far larger."""
+    friction, load = (
+        replace(BACKLASH, effect=name, gain=gain, removed=Removed("elbow", "motor", without, 0.01, 0.0, "q"))
+        for name, gain, without in (("link_viscous_friction", 0.8, 0.03), ("payload", 0.1, 3.84))
+    )
+    found = replace(TWO, findings=(friction, load, UNLIKELY))
+    assert [f.effect for f in sentences.likely(found)] == ["payload", "link_viscous_friction"]
+    assert [f["effect"] for f in to_json(found)["findings"]] == [f.effect for f in found.findings]
 
 
 def test_a_notebook_gets_tables_and_no_markup_of_names() -> None:

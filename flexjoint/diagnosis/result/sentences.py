@@ -101,17 +101,17 @@ def needs_reason(diagnosis: Result) -> bool:
 
 
 def likely(diagnosis: Result) -> tuple[Finding, ...]:
-    """The causes that are more likely there than not, the one that removes most first."""
+    """The causes that are more likely there than not, the one that removes most torque error first."""
     found = [f for f in diagnosis.findings if f.probability >= USUAL.verdict.likely]
-    return torque.by_size(found, diagnosis.remaining)
+    return torque.by_size(found)
 
 
 def possible(diagnosis: Result) -> tuple[Finding, ...]:
     """The causes that are more likely absent, and not in the extended model; the one that removes most
-    first."""
+    torque error first."""
     limits = USUAL.verdict
     found = [f for f in diagnosis.findings if limits.disbelieved < f.probability < limits.likely]
-    return torque.by_size(found, diagnosis.remaining)
+    return torque.by_size(found)
 
 
 def disbelieved(diagnosis: Result) -> str:

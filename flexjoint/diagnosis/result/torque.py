@@ -125,20 +125,16 @@ def balance(name: str, joints: Joints) -> str:
     return BALANCES["motor"] if joints.rigid else known
 
 
-def by_size(findings: Sequence[Finding], remaining: Sequence[Remaining]) -> tuple[Finding, ...]:
-    """Causes as they are told: first the one that removes most of its joint's torque [-], on data that the
-    fit did not see. `Finding.gain` counts in noise, so that a friction of 1 % at a quiet joint may gain more
-    than a load that is a tenth of the torque of others."""
-    torques = {one.joint: one.torque for one in remaining}
+def by_size(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Causes as they are told: first the one that removes most torque error [N m, RMS], on data that the fit
+    did not see. `Finding.gain` counts in noise, so that a friction of 1 % at a quiet joint may gain more than
+    a load that is a tenth of the torque of others."""
 
-    def share(finding: Finding) -> float:
+    def size(finding: Finding) -> float:
         removed = finding.removed
-        torque = 0.0 if removed is None else torques.get(removed.joint, 0.0)
-        if removed is None or torque <= 0.0:
-            return 0.0
-        return math.sqrt(max(0.0, removed.without**2 - removed.left**2)) / torque
+        return 0.0 if removed is None else math.sqrt(max(0.0, removed.without**2 - removed.left**2))
 
-    return tuple(sorted(findings, key=lambda f: (-share(f), -f.gain)))
+    return tuple(sorted(findings, key=lambda f: (-size(f), -f.gain)))
 
 
 def removal(finding: Finding, joints: Joints) -> Removal | None:
