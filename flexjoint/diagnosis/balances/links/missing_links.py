@@ -129,7 +129,7 @@ class MissingLinks:
             pull = numbers.drives[i].K * movement.q + numbers.drives[i].D * movement.v
             add(out, self._loaded[i], -pull)
             if i in self._motors:
-                add(out, self._motors[i], (numbers.scales[i] if numbers.scales else 1.0) * pull)
+                add(out, self._motors[i], numbers.scale(i) * pull)
             for joint, row in self._loaded.items():
                 add(out, row, -torque(self._motion, joint, i, movement, numbers))
         return out

@@ -21,21 +21,24 @@ class Movement:
 
 @dataclass(frozen=True)
 class Numbers:
-    """The numbers of the robot on which links move: actuators by joint, and what the mass matrix (n, n) is
-    more than the nominal one, in the mean posture."""
+    """The numbers of the robot on which links move: actuators by joint, what the mass matrix (n, n) is more
+    than the nominal one, in the mean posture, and the scales of the motors' balances by joint."""
 
     drives: tuple[Drive, ...]
     heavier: np.ndarray | None = None  # nothing
-    scales: tuple[float, ...] = ()  # of the motors' balances, by joint; 1 without
+    scales: tuple[float, ...] = ()  # 1 each
+
+    def scale(self, joint: int) -> float:
+        return self.scales[joint] if self.scales else 1.0
 
 
 def torque(motion: Motion, joint: int, i: int, movement: Movement, numbers: Numbers) -> np.ndarray:
-    """(N,) the torque at a joint by which its load changes with a movement of link i, to first order."""
+    """(N,) what a movement of link i takes, to first order, in the balance that carries a joint's load."""
     rigid = motion.rigid
+    scale = numbers.scale(joint) if motion.robot.joints[joint].rigid else 1.0
     mass = rigid.mass[:, joint, i] + (0.0 if numbers.heavier is None else numbers.heavier[joint, i])
-    return np.asarray(
-        mass * movement.a + rigid.by_v[:, joint, i] * movement.v + rigid.by_q[:, joint, i] * movement.q
-    )
+    load = mass * movement.a + rigid.by_v[:, joint, i] * movement.v + rigid.by_q[:, joint, i] * movement.q
+    return np.asarray(scale * load)
 
 
 def add(by_row: dict[int, np.ndarray], row: int, series: np.ndarray) -> None:
