@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from flexjoint.diagnosis.balances.links.movement import Movement, Numbers, add, torque
+from flexjoint.diagnosis.balances.links.movement import Movement, Numbers, add, pull, torque
 from flexjoint.diagnosis.balances.links.swinging import Swinging
 from flexjoint.diagnosis.balances.motion import Links, Motion
 from flexjoint.diagnosis.signals.signals import reach_of_ends
@@ -115,21 +115,21 @@ class MissingLinks:
         columns = []
         for start in starts:
             moved = dict(self._by_load(still, start))
-            pulled = [self._drives[i].K * moved[i].q + self._drives[i].D * moved[i].v for i in own]
+            pulled = [pull(self._drives[i], moved[i]) for i in own]
             columns.append((filtered(np.array(pulled))[:, used] / size).ravel())
         by_start, y = np.array(columns), (left / size).ravel()
-        pull = by_start @ y
-        share = np.linalg.solve(by_start @ by_start.T + np.eye(len(starts)), -pull)
-        return np.asarray(share @ np.array(starts)), float(-share @ pull / (y @ y))
+        slope = by_start @ y
+        share = np.linalg.solve(by_start @ by_start.T + np.eye(len(starts)), -slope)
+        return np.asarray(share @ np.array(starts)), float(-share @ slope / (y @ y))
 
     def _added(self, movements: Sequence[tuple[int, Movement]], numbers: Numbers) -> dict[int, np.ndarray]:
         """(N,) by row, what movements of these links add to the balances."""
         out: dict[int, np.ndarray] = {}
         for i, movement in movements:
-            pull = numbers.drives[i].K * movement.q + numbers.drives[i].D * movement.v
-            add(out, self._loaded[i], -pull)
+            pulled = pull(numbers.drives[i], movement)
+            add(out, self._loaded[i], -pulled)
             if i in self._motors:
-                add(out, self._motors[i], numbers.scale(i) * pull)
+                add(out, self._motors[i], numbers.scale(i) * pulled)
             for joint, row in self._loaded.items():
                 add(out, row, -torque(self._motion, joint, i, movement, numbers))
         return out

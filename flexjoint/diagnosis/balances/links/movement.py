@@ -41,6 +41,11 @@ def torque(motion: Motion, joint: int, i: int, movement: Movement, numbers: Numb
     return np.asarray(scale * load)
 
 
+def pull(drive: Drive, movement: Movement) -> np.ndarray:
+    """(N,) the torque by which a link's spring resists its movement, and pulls at its motor."""
+    return np.asarray(drive.K * movement.q + drive.D * movement.v)
+
+
 def add(by_row: dict[int, np.ndarray], row: int, series: np.ndarray) -> None:
     """Add a series (N,) to that of a row, in place."""
     by_row[row] = by_row[row] + series if row in by_row else series

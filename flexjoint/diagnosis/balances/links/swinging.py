@@ -20,9 +20,9 @@ class Swinging:
 
     Steps are those of Hermite's rule of fourth order (Hairer, Norsett and Wanner, "Solving ordinary
     differential equations I", II.2), x1 - x0 = h/2 (x0' + x1') + h^2/12 (x0'' - x1''): the trapezoidal rule
-    lowers a frequency of a tenth of the sampling rate by 3 %, and what is left of a swing is then as large as
-    what most causes do. Of swings that the samples do not resolve the second half of the rule fades away: the
-    trapezoidal rule leaves their error where filters take it, at half the sampling rate."""
+    lowers a frequency of a tenth of the sampling rate by 3 %. Of swings that the samples do not resolve the
+    second half of the rule fades away: the trapezoidal rule leaves their error where filters take it, at half
+    the sampling rate."""
 
     mass: np.ndarray
     damping: np.ndarray
