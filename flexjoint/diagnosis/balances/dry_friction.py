@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import maximum_filter1d
 
+from flexjoint.core.compiled import compiled
 from flexjoint.diagnosis.settings import BalanceSettings
 from flexjoint.diagnosis.signals.signals import Filter
 
@@ -40,13 +40,11 @@ class Speed:
             float(np.sqrt(sum((x * s.noise) ** 2 for x, s in parts))),
         )
 
-    def beside(self, kink: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """The speed (N,) and its error where friction makes a `kink` in it, of which a Wiener filter takes up
-        to all for noise: the mean of the speeds with and without noise that has the least square error."""
-        if self.noise == 0.0:
-            return self.clean, self.error
-        share = kink**2 / (kink**2 + self.noise**2)
-        return self.clean + share * self.taken, np.sqrt(self.error**2 + share * self.noise**2)
+    def beside(self, kink: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The speed (N,) and its error where friction makes a `kink` (N,) in it, of which a Wiener filter
+        takes up to all for noise: the mean of the speeds with and without noise that has the least square
+        error."""
+        return _beside(self.clean, self.error, self.taken, self.noise, kink)
 
 
 class DryFriction:
@@ -91,48 +89,116 @@ class DryFriction:
             net = denoised_net
         backward, forward = levels
         least, most = -limits.most_at_rest * backward, limits.most_at_rest * forward
-        changed: np.ndarray | float = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
-        lost, given_back = np.zeros_like(net), None
-        reach = self._within(limits.ringing)
+        kink = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
+        lost, given_back, changed = np.zeros_like(net), np.zeros_like(net), np.full_like(net, kink)
+        slowest = max(limits.least_rest_speed, 1e-6)
         for further in reversed(range(FRICTION_ROUNDS)):
-            filtered, error = speed.beside(changed)
-            rest = np.minimum(np.maximum(changed, self.rest_speed(error)), limits.rest_speed)
-            # the filtered speed must say so, too: where a body stands for longer than the filter between two
-            # motions, the iteration would become unstable
-            speeds = filtered[None] if given_back is None else np.array([filtered, filtered + given_back])
-            ahead, back = _moving(speeds, rest)
-            moving = ahead + back
-            near, far_net = maximum_filter1d(moving, reach), denoised_net + lost
-            sticking = np.minimum(np.maximum(far_net + near * (net + lost - far_net), least), most)
-            friction = ahead * forward - back * backward + (1.0 - moving) * sticking
-            spectrum = window.spectrum(friction)
+            moving, sticking, friction = _round(
+                speed.beside(changed),
+                changed,
+                given_back,
+                (slowest, limits.speed_deviations, limits.rest_speed),
+                (backward, forward, least, most),
+                (net, denoised_net, lost),
+                self._reach(limits.ringing),
+                window.ramp,
+            )
+            spectrum = fft.rfft(friction)
             if further:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 given_back = -integral / inertia
                 if not shared:
-                    changed = maximum_filter1d(np.abs(given_back), self._within(limits.rest_rings))
+                    changed = greatest(np.abs(given_back), self._reach(limits.rest_rings))
         return -spectrum * window.gain, (moving < 0.5) & (least < sticking) & (sticking < most)
 
-    def _within(self, widths: float) -> int:
-        """Samples about one that are no more filter deviations away."""
-        return 2 * int(np.ceil(widths * self._sigma / self._window.period)) + 1
+    def _reach(self, widths: float) -> int:
+        """Samples that lie within so many filter deviations."""
+        return int(np.ceil(widths * self._sigma / self._window.period))
 
 
-def _moving(speeds: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """(2, N) share of the time about each sample in which all speeds (k, N), linear meanwhile, are above the
-    `rest` speed (N,), forward and backward. A law that switched with the sample would jump with every number
-    of a fit."""
-    change = np.empty_like(speeds)
-    np.subtract(speeds[:, 2:], speeds[:, :-2], out=change[:, 1:-1])
-    change[:, 1:-1] *= 0.5
-    change[:, 0], change[:, -1] = speeds[:, 1] - speeds[:, 0], speeds[:, -1] - speeds[:, -2]
-    np.abs(change, out=change)
-    np.maximum(change, 1e-300, out=change)
-    shares = np.empty((2, *speeds.shape))
-    np.subtract(speeds, rest, out=shares[0])
-    np.add(speeds, rest, out=shares[1])
-    np.negative(shares[1], out=shares[1])
-    shares /= change
-    shares += 0.5
-    least = shares[:, 0] if len(speeds) == 1 else np.minimum(shares[:, 0], shares[:, 1])
-    return np.minimum(np.maximum(least, 0.0, out=least), 1.0, out=least)
+@compiled
+def _round(
+    speed: tuple[np.ndarray, np.ndarray],
+    changed: np.ndarray,
+    given_back: np.ndarray,
+    limits: tuple[float, float, float],
+    levels: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    pulls: tuple[np.ndarray, np.ndarray, np.ndarray],
+    reach: int,
+    ramp: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One round of `DryFriction.spectrum`: (N,) share of the time about each sample in which the body moves,
+    the torque that would hold it, and (N + padding,) the friction.
+
+    speed (N,) and its error; changed (N,): by how much friction changed the speed, and given_back
+    (N,): what the filter took away of that; limits: of `rest_speed`; levels (N,): backward, forward, least and
+    most at rest; pulls (N,): as measured, without noise, and what the filter took away of friction; reach:
+    samples; ramp (padding,): `Filter.ramp`.
+    """
+    filtered, error = speed
+    slowest, deviations, rest_speed = limits
+    backward, forward, least, most = levels
+    net, denoised_net, lost = pulls
+    count = filtered.size
+    rest = np.empty(count)
+    for k in range(count):
+        below = min(max(slowest, deviations * error[k]), rest_speed)
+        rest[k] = min(max(changed[k], below), rest_speed)
+    # the filtered speed must say so, too: where a body stands for longer than the filter between two motions,
+    # the iteration would become unstable
+    given = filtered + given_back
+    ahead, back, moving = np.empty(count), np.empty(count), np.empty(count)
+    for k in range(count):
+        # speeds are linear between samples: a law that switched with the sample would jump with every number
+        # of a fit
+        before, after = max(k - 1, 0), min(k + 1, count - 1)
+        part = 1.0 if after - before == 1 else 0.5
+        change = max(abs((filtered[after] - filtered[before]) * part), 1e-300)
+        change_given = max(abs((given[after] - given[before]) * part), 1e-300)
+        up = min((filtered[k] - rest[k]) / change + 0.5, (given[k] - rest[k]) / change_given + 0.5)
+        down = min(-(filtered[k] + rest[k]) / change + 0.5, -(given[k] + rest[k]) / change_given + 0.5)
+        ahead[k], back[k] = min(max(up, 0.0), 1.0), min(max(down, 0.0), 1.0)
+        moving[k] = ahead[k] + back[k]
+    near = greatest(moving, reach)
+    sticking, friction = np.empty(count), np.empty(count + ramp.size)
+    for k in range(count):
+        far = denoised_net[k] + lost[k]
+        sticking[k] = min(max(far + near[k] * (net[k] + lost[k] - far), least[k]), most[k])
+        friction[k] = ahead[k] * forward[k] - back[k] * backward[k] + (1.0 - moving[k]) * sticking[k]
+    for k in range(ramp.size):  # so that the ends meet smoothly
+        friction[count + k] = friction[count - 1] * (1.0 - ramp[k]) + friction[0] * ramp[k]
+    return moving, sticking, friction
+
+
+@compiled
+def _beside(
+    clean: np.ndarray, error: np.ndarray, taken: np.ndarray, noise: float, kink: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`Speed.beside`."""
+    if noise == 0.0:
+        return clean, error
+    speed, off = np.empty(clean.size), np.empty(clean.size)
+    for k in range(clean.size):
+        share = kink[k] ** 2 / (kink[k] ** 2 + noise**2)
+        speed[k] = clean[k] + share * taken[k]
+        off[k] = np.sqrt(error[k] ** 2 + share * noise**2)
+    return speed, off
+
+
+@compiled
+def greatest(x: np.ndarray, reach: int) -> np.ndarray:
+    """(N,) the greatest of each sample of x (N,) and those up to `reach` samples beside it."""
+    count = x.size
+    out, falling = np.empty(count), np.empty(count, dtype=np.int64)
+    first, last, ahead = 0, 0, 0  # of `falling`: samples from here on that a later one does not exceed
+    for k in range(count):
+        while ahead < min(count, k + reach + 1):
+            while last > first and x[falling[last - 1]] <= x[ahead]:
+                last -= 1
+            falling[last] = ahead
+            last += 1
+            ahead += 1
+        if falling[first] < k - reach:
+            first += 1
+        out[k] = x[falling[first]]
+    return out

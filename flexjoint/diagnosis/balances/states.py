@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from flexjoint.core.compiled import compiled
 from flexjoint.effects import Planned, Signals
 
 SMALL = 1e-4  # decay over a step below which a series is taken: quotients of small numbers lose their digits
@@ -37,24 +38,14 @@ def state_along(e: Planned, signals: Signals, period: float, begin: int) -> np.n
     return stepped(float(e.effect.steady_state(first, p)), keep, add)
 
 
+@compiled
 def stepped(first: float, keep: np.ndarray, add: np.ndarray) -> np.ndarray:
-    """(N,) z[k] of z[k + 1] = keep[k] z[k] + add[k] from z[0] = `first`, where keep (N,) is 0 to 1.
-
-    A search takes many: blocks are stepped side by side, each from 0 and with what it keeps of its begin."""
-    length = int(np.ceil(np.sqrt(keep.size)))
-    beyond = -keep.size % length
-    keeps = np.append(keep, np.ones(beyond)).reshape(-1, length).T
-    adds = np.append(add, np.zeros(beyond)).reshape(-1, length).T
-    kept, moved = np.empty((length + 1, keeps.shape[1])), np.empty((length + 1, keeps.shape[1]))
-    kept[0], moved[0] = 1.0, 0.0
-    for row in range(length):
-        kept[row + 1] = keeps[row] * kept[row]
-        moved[row + 1] = keeps[row] * moved[row] + adds[row]
-    z, begins = first, []
-    for k, a in zip(kept[-1].tolist(), moved[-1].tolist(), strict=True):
-        begins.append(z)
-        z = k * z + a
-    return np.asarray((kept[:-1] * np.array(begins) + moved[:-1]).T.ravel()[: keep.size])
+    """(N,) z[k] of z[k + 1] = keep[k] z[k] + add[k] from z[0] = `first`, where keep (N,) is 0 to 1."""
+    z = np.empty(keep.size)
+    z[0] = first
+    for k in range(keep.size - 1):
+        z[k + 1] = keep[k] * z[k] + add[k]
+    return z
 
 
 def _mean_of_ends(x: np.ndarray) -> np.ndarray:
@@ -62,25 +53,14 @@ def _mean_of_ends(x: np.ndarray) -> np.ndarray:
     return np.append(0.5 * (x[:-1] + x[1:]), x[-1:])
 
 
+@compiled
 def play(x: np.ndarray, width: np.ndarray) -> np.ndarray:
     """(N,) a position x behind a play of `width` (N,) to either side (Prandtl 1928): it stands while x goes
     to and fro by less. A state that adds up the way of a body would add up that of its sensor's noise, too,
-    which has no end.
-
-    Each sample clips what was before to its own bounds; clips after each other are one clip, so that blocks
-    are taken side by side, as in `stepped`."""
-    length = int(np.ceil(np.sqrt(x.size)))
-    beyond = -x.size % length
-    low, high = (
-        np.append(end, np.full(beyond, end[-1])).reshape(-1, length).T for end in (x - width, x + width)
-    )
-    lows, highs = np.empty_like(low), np.empty_like(high)
-    lows[0], highs[0] = low[0], high[0]
-    for row in range(1, length):
-        for ends in (lows, highs):  # np.clip takes three times as long for so few
-            np.minimum(np.maximum(ends[row - 1], low[row]), high[row], out=ends[row])
-    here, begins = float(x[0]), []
-    for least, most in zip(lows[-1].tolist(), highs[-1].tolist(), strict=True):
-        begins.append(here)
-        here = min(max(here, least), most)
-    return np.asarray(np.clip(np.array(begins), lows, highs).T.ravel()[: x.size])
+    which has no end."""
+    behind = np.empty(x.size)
+    here = x[0]
+    for k in range(x.size):
+        here = min(max(here, x[k] - width[k]), x[k] + width[k])
+        behind[k] = here
+    return behind

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import fft
+from scipy.ndimage import maximum_filter1d
 
-from flexjoint.diagnosis.balances.dry_friction import DryFriction, Speed
+from flexjoint.diagnosis.balances.dry_friction import DryFriction, Speed, greatest
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.signals.signals import Filter, Wiener, make_filter
 
@@ -94,7 +95,15 @@ def test_of_speeds_with_and_without_noise_the_mean_has_the_least_square_error() 
     share = np.linspace(0.0, 1.0, 1001)
     error = ((1.0 - share) * kink) ** 2 + (share * noise) ** 2
 
-    speed, spread = Speed(np.zeros(1), np.zeros(1), np.ones(1), noise).beside(kink)
+    speed, spread = Speed(np.zeros(1), np.zeros(1), np.ones(1), noise).beside(np.array([kink]))
 
     assert speed[0] == pytest.approx(share[np.argmin(error)], abs=1e-3)
     assert spread[0] == pytest.approx(np.sqrt(np.min(error)), rel=1e-3)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 300])
+@pytest.mark.parametrize("reach", [0, 1, 3, 400])
+def test_the_greatest_about_each_sample(count: int, reach: int) -> None:
+    x = np.random.default_rng(count).integers(0, 9, count).astype(float)  # with equals among them
+
+    np.testing.assert_array_equal(greatest(x, reach), maximum_filter1d(x, 2 * reach + 1))
