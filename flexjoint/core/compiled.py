@@ -12,8 +12,8 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(function: Function) -> Function:
-    """The function compiled. Its arguments are floats, integers, booleans and arrays of these; operations keep
-    the order in which they are written, so that results are the same bits as without compiling."""
+    """The function compiled. Its arguments are floats, integers, booleans, and arrays and tuples of these;
+    operations keep the order in which they are written, so that results are the same bits as without."""
     try:
         made = njit(cache=True)(function)
     except RuntimeError:  # neither the package's folder nor the user's own can be written

@@ -130,10 +130,10 @@ def _round(
     """One round of `DryFriction.spectrum`: (N,) share of the time about each sample in which the body moves,
     the torque that would hold it, and (N + padding,) the friction.
 
-    speed (N,) and its error; changed (N,): by how much friction changed the speed, and given_back
-    (N,): what the filter took away of that; limits: of `rest_speed`; levels (N,): backward, forward, least and
-    most at rest; pulls (N,): as measured, without noise, and what the filter took away of friction; reach:
-    samples; ramp (padding,): `Filter.ramp`.
+    speed (N,) and its error; changed (N,): by how much friction changed the speed, and given_back (N,): what
+    the filter took away of that; limits: of `rest_speed`; levels (N,): backward, forward, least and most at
+    rest; pulls (N,): as measured, without noise, and what the filter took away of friction; reach: samples;
+    ramp (padding,): `Filter.ramp`.
     """
     filtered, error = speed
     slowest, deviations, rest_speed = limits

@@ -18,6 +18,7 @@ from flexjoint.diagnosis.balances.motion import Links, reconstruct
 from flexjoint.diagnosis.regression import whitening
 from flexjoint.diagnosis.regression.nuisance import as_effects
 from flexjoint.diagnosis.regression.problem import REMEMBERED, Problem
+from flexjoint.diagnosis.regression.whitening import Whitening
 from flexjoint.effects import Planned, Site
 
 LINK_ROUNDS = 12  # at most, in which unmeasured links are put where the likely numbers have them
@@ -221,11 +222,15 @@ def _evaluated(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> f
         return problem.energy(y)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            energy = _energy_at(problem, deviations, effects)
             if noise_decides:
+                energy = _energy_at(problem, deviations, effects)
                 energy = min(energy, _energy_at(problem, converged_deviations(problem, effects, y), effects))
             else:  # what is left is not sensor noise: no smaller where a model predicts more of that noise
-                energy = max(energy, problem.energy(y))
+                changed, usual = (
+                    _energy_at(problem, deviations, effects, white)
+                    for white in (_white_for(problem, effects), problem.whitening)
+                )
+                energy = problem.energy(y) + max(0.0, changed - usual)
     except np.linalg.LinAlgError:  # beside a wrong cause the numbers may be impossible (a negative mass)
         return problem.energy(y)
     if not any(e.effect.overrides("edit_inertial") for e in problem.nominal):
@@ -233,14 +238,15 @@ def _evaluated(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> f
     return energy
 
 
-def _energy_at(problem: Problem, deviations: np.ndarray, effects: Sequence[Planned]) -> float:
-    """Energy of some effects where the nominal numbers are off by these deviations."""
+def _energy_at(
+    problem: Problem, deviations: np.ndarray, effects: Sequence[Planned], under: Whitening | None = None
+) -> float:
+    """Energy of some effects where the nominal numbers are off by these deviations, under a whitening or
+    that of the noise which a model with these effects and numbers predicts."""
     there = problem.with_nominal([*effects, *deviation_effects(problem, deviations)])
-    scale = np.array([problem.torque_scale[r.joint] for r in problem.balances.rows])
     balances = problem.balances
-    # what shapes the noise in other ways than by what enters a whitening is evaluated without it
-    known = [e for e in there if whitening.changes_noise(e) or not whitening.shapes_noise(e, balances)]
-    there_white = whitening.make(balances, scale, known, like=problem.whitening)
+    known = _noise_known(problem, there)
+    there_white = under or _white_for(problem, there)
     spectra = balances.residual(known)
     if len(known) < len(there):
         spectra = spectra + balances.denoised.change(known, there)
@@ -249,6 +255,20 @@ def _energy_at(problem: Problem, deviations: np.ndarray, effects: Sequence[Plann
     linear = problem.along(np.where(_as_effects(problem), 0.0, deviations))
     residual = (white - linear) * problem.weights
     return float(residual @ residual) + float(deviations @ deviations)
+
+
+def _white_for(problem: Problem, effects: Sequence[Planned]) -> Whitening:
+    """The whitening of the noise that a model with these effects predicts."""
+    scale = np.array([problem.torque_scale[r.joint] for r in problem.balances.rows])
+    return whitening.make(problem.balances, scale, _noise_known(problem, effects), like=problem.whitening)
+
+
+def _noise_known(problem: Problem, effects: Sequence[Planned]) -> list[Planned]:
+    """The effects but those that shape the noise in other ways than by what enters a whitening: these are
+    evaluated without it."""
+    return [
+        e for e in effects if whitening.changes_noise(e) or not whitening.shapes_noise(e, problem.balances)
+    ]
 
 
 def _as_effects(problem: Problem) -> np.ndarray:

@@ -135,6 +135,19 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
     ) or _unseen(problem, planned, shapes)
 
 
+def given_up_for(cause: Planned, effects: Sequence[Planned], nominal: Sequence[Planned]) -> Planned | None:
+    """The effect among some that makes room for a cause: a special case of its law (`Effect.contains`) on its
+    joint, of which there is less than the nominal model claims. None where there is none."""
+    claims = {e.key: e for e in nominal}
+    for e in effects:
+        claim = claims.get(e.key)
+        if claim is None or e.joint != cause.joint or e.effect.name not in cause.effect.contains:
+            continue
+        if all(abs(e.values[p.name]) < abs(claim.values[p.name]) for p in e.effect.nulls):
+            return e
+    return None
+
+
 def _absent(planned: Planned) -> bool:
     return _is_as(planned, {p.name: p.null for p in planned.effect.nulls})
 

@@ -21,6 +21,7 @@ from flexjoint.diagnosis.search.criteria import (
     at_own_level,
     contradicted,
     degenerate,
+    given_up_for,
     only_by_implausible,
     price,
     score,
@@ -29,6 +30,7 @@ from flexjoint.diagnosis.search.criteria import (
     unexplained_energy,
 )
 from flexjoint.diagnosis.search.history import steps_between
+from flexjoint.diagnosis.search.rivals import Key, Rivals
 from flexjoint.diagnosis.search.scan import Scanner, Scored
 from flexjoint.diagnosis.search.trials import (
     at_noise,
@@ -55,7 +57,6 @@ LEFT_OUT = (
 )
 
 Progress = Callable[[float, str], None]
-Key = tuple[str, str | None]  # of an effect on a joint
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,21 @@ class Selection:
     nothing: Fit  # no effect beyond the nominal model
     scan: tuple[Scored, ...]  # of the nominal model, best start of each candidate
     last_scan: tuple[Scored, ...]  # of the chosen set: what was looked for beyond it
-    rivals: tuple[tuple[Fit, ...], ...]  # per chosen effect: fits with another in its place, best first
+    rivals: tuple[Sequence[Fit], ...]  # per chosen effect: fits with another in its place, best first
     explains: Mapping[Key, float] = field(default_factory=dict)  # energy, where it is of several recordings
     trace: tuple[Step, ...] = ()  # how the set came about
     left_out: tuple[str, ...] = ()  # what the time allowed was too short for
+
+    def rivals_beside(self, best: Fit) -> tuple[Rivals, ...]:
+        """The rivals of the effects of another set, of this selection's effects and others, beside that
+        set; those of a new effect are not known."""
+        known = {
+            e.key: Rivals.known(self.best, e.key, fits)
+            for e, fits in zip(self.best.effects, self.rivals, strict=True)
+        }
+        return tuple(
+            known[e.key].beside(best) if e.key in known else Rivals(best, e.key, ()) for e in best.effects
+        )
 
 
 @dataclass(frozen=True)
@@ -426,7 +438,7 @@ def exchange(
     while waiting and not search.cut:
         key = waiting.pop(0)
         replaced = next((e for e in result.effects if e.key == key), None)
-        if replaced is None:
+        if replaced is None or _makes_room(result, replaced):
             continue
         try:
             result, fits = _rivals_of(search, result, replaced)
@@ -447,6 +459,12 @@ def exchange(
             break
         rivals[key] = tuple(sorted(fits, key=score))
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
+
+
+def _makes_room(result: Fit, effect: Planned) -> bool:
+    """Whether an effect only makes room for another one of the set: that one has rivals, and it has none."""
+    nominal = result.problem.nominal
+    return any(given_up_for(e, result.effects, nominal) is effect for e in result.effects if e is not effect)
 
 
 def _rivals_of(search: Search, result: Fit, replaced: Planned) -> tuple[Fit, list[Fit]]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
-from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, score, supported
+from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, supported
+from flexjoint.diagnosis.search.rivals import Rivals
 from flexjoint.diagnosis.search.selection import Selection, choose
 from flexjoint.effects import Planned
 
@@ -33,19 +34,15 @@ def plainer(selection: Selection, shrunk: Planned) -> Selection:
 def given_way(selection: Selection, k: int, rival: Fit, refitted: Fit) -> Selection:
     """The selection with a rival, `refitted` at its own noise level, in the place of effect k; the other
     rivals of that effect become rivals of it."""
-    kept = tuple(r for i, r in enumerate(selection.rivals) if i != k)
-    left = [fit(refitted.problem, r.effects) for r in selection.rivals[k] if r is not rival]
-    return replace(selection, best=refitted, rivals=(*kept, tuple(sorted(left, key=score))))
+    *beside, _ = selection.rivals_beside(refitted)
+    others = [r.effects for r in selection.rivals[k] if r is not rival]
+    return replace(
+        selection, best=refitted, rivals=(*beside, Rivals.of(refitted, rival.effects[-1].key, others))
+    )
 
 
 def without(selection: Selection, effect: Planned) -> Selection:
-    """The selection with one of its causes taken out, the others and their rivals fitted again."""
+    """The selection with one of its causes taken out, the others fitted again."""
     best = selection.best
-    keep = [k for k, e in enumerate(best.effects) if e.key != effect.key]
-    left = at_own_level(fit(best.problem, [best.effects[k] for k in keep]))
-
-    def again(rivals: tuple[Fit, ...]) -> tuple[Fit, ...]:
-        sets = [[e for e in rival.effects if e.key != effect.key] for rival in rivals]
-        return tuple(sorted((fit(left.problem, effects) for effects in sets), key=score))
-
-    return replace(selection, best=left, rivals=tuple(again(selection.rivals[k]) for k in keep))
+    left = at_own_level(fit(best.problem, [e for e in best.effects if e.key != effect.key]))
+    return replace(selection, best=left, rivals=selection.rivals_beside(left))

@@ -13,7 +13,11 @@ from support.robots.coupled_robots import coupled, swinging
 from support.thorough import sample
 
 from flexjoint.diagnosis.balances.balances import balances_of
+from flexjoint.diagnosis.regression.deviations import judged_energy
+from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
+from flexjoint.diagnosis.search.criteria import at_own_level
+from flexjoint.effects import effect
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.robot.robot import load
 from flexjoint.simulation.simulate import simulate
@@ -99,3 +103,23 @@ def test_a_number_that_other_balances_hold_raises_none_without_end(deviations: f
             with np.errstate(over="raise"):
                 level = one.plausible_level(off(one, k, deviations))
             assert np.all(np.isfinite(level.inflation))
+
+
+def test_where_noise_does_not_decide_an_effect_that_does_nothing_costs_nothing() -> None:
+    """A friction changes how noise enters, and is evaluated in full for that: what dry friction holds of
+    loads that are off, beside any set, must not count against such effects alone."""
+    robot = coupled(None, rigid=True)
+    dry = [effect("motor_coulomb_friction", j.name, level=1.0, nominal=True) for j in robot.joints]
+    load = effect("payload", robot.joint_names[-1], mass=-1.0, position=(0.1, 0.1, 0.1))
+    claiming, noise = robot.extended(dry), {"theta": 2e-5, "tau_m": 0.01}
+    run = simulate(
+        FlexibleJointModel(robot, [*dry, load]), swinging(robot, 4.0), sample_rate=500.0, noise=noise
+    )
+    nothing = at_own_level(fit(Problem(balances_of(claiming, run.measured)), []))
+    problem = nothing.problem
+    assert np.max(problem.level.inflation) > problem.settings.regression.noise_decides
+    none = [effect("motor_viscous_friction", j.name, coefficient=0.0) for j in robot.joints]
+
+    bare, beside = (judged_energy(problem, nothing.y, effects) for effects in ([], none))
+
+    assert beside == pytest.approx(bare, abs=0.1)  # chi-square; products of deviations are 1.0

@@ -10,7 +10,7 @@ error by more than a background makes, on blocks of time that its fit did not se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,8 +22,9 @@ from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.recorded import Recorded
 from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search.candidates import Candidate
-from flexjoint.diagnosis.search.criteria import at_own_level, score
+from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.history import steps_between
+from flexjoint.diagnosis.search.rivals import Rivals
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.settings import Settings, VerdictSettings
 from flexjoint.diagnosis.verdict.unseen.torques import (
@@ -129,10 +130,6 @@ class _Looked:
     """The selection after the last round."""
 
     selection: Selection
-    changed: frozenset[str] = frozenset()  # joints
-
-    def takes(self, larger: Selection, joints: Collection[str]) -> None:
-        self.selection, self.changed = larger, self.changed | frozenset(joints)
 
 
 def _look(
@@ -174,11 +171,7 @@ def _look(
                 larger = _joined(selection, found, stage)
                 after = unseen(larger.best, larger.nothing)
             selection, data = larger, after
-            looked.takes(replace(larger, rivals=((),) * len(larger.best.effects)), found)
-    if looked.changed:
-        best = selection.best
-        rivals = [[_beside(rival, best, looked.changed) for rival in fits] for fits in selection.rivals]
-        looked.selection = replace(selection, rivals=tuple(tuple(sorted(fits, key=score)) for fits in rivals))
+            looked.selection = larger
 
 
 def _answers(
@@ -201,22 +194,13 @@ def _joined(selection: Selection, found: dict[str, JointSet], stage: Stage) -> S
     others = [e for e in best.effects if e.joint not in found]
     grown = at_own_level(fit(best.problem, [*others, *(e for one in found.values() for e in one.effects)]))
     trace = (*selection.trace, *steps_between(best, grown, stage.name, "background", stage.why))
-    # a rival is a fit beside the causes that a joint had
-    known = dict(zip((e.key for e in best.effects), selection.rivals, strict=False))
+    known = dict(zip((e.key for e in grown.effects), selection.rivals_beside(grown), strict=True))
     for one in found.values():
+        known |= {e.key: Rivals(grown, e.key, ()) for e in one.effects}
         for e, sets in zip(one.effects, one.rivals, strict=False):
-            known[e.key] = tuple(fit(grown.problem, [*others, *own], held=others) for own in sets)
-        known |= {e.key: () for e in one.effects[len(one.rivals) :]}
-    rivals = tuple(known.get(e.key, ()) for e in grown.effects)
+            known[e.key] = Rivals.of(grown, e.key, [[*others, *own] for own in sets])
+    rivals = tuple(known[e.key] for e in grown.effects)
     return replace(selection, best=grown, rivals=rivals, trace=trace)
-
-
-def _beside(rival: Fit, best: Fit, changed: Collection[str]) -> Fit:
-    """A rival of a cause, fitted again beside the causes that other joints which have `changed` have now."""
-    *others, last = rival.effects
-    new = [e for e in best.effects if e.joint in changed and e.joint != last.joint]
-    kept = [e for e in others if e.joint not in changed or e.joint == last.joint]
-    return fit(best.problem, [*kept, *new, last], held=new)
 
 
 def clears(joint: Remaining, before: Sequence[float], after: Sequence[float], settings: Settings) -> bool:

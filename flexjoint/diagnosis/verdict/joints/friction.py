@@ -74,7 +74,10 @@ def _ordinary(candidate: Candidate) -> bool:
 
 
 def _open(data: Unseen) -> tuple[Remaining, ...]:
-    return beyond_background(remaining(data), data.views[0].problem.settings.verdict)
+    """Joints of which much is left, and those whose friction is further off than a tolerance explains."""
+    joints = remaining(data)
+    much = beyond_background(joints, data.views[0].problem.settings.verdict)
+    return (*much, *(one for one in joints if one.joint in data.doubted and one not in much))
 
 
 def _holds(joint: Remaining, before: Unseen, after: Unseen) -> bool:

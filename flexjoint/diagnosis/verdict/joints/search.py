@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.result import Remaining
+from flexjoint.diagnosis.search.rivals import Rivals
 from flexjoint.diagnosis.search.selection import select
 from flexjoint.diagnosis.verdict import checks
 from flexjoint.diagnosis.verdict.cases import Case
@@ -38,8 +39,9 @@ def search(question: Question) -> JointSet | None:
     new = question.measured([*shared, *found.best.effects])
     if not question.clears(new):
         return None
-    rivals = dict(zip((e.key for e in found.best.effects), found.rivals, strict=True))
-    sets = tuple(tuple((*shared, *f.effects) for f in rivals.get(e.key, ())) for e in new.effects)
+    pairs = zip(found.best.effects, found.rivals, strict=True)
+    rivals = {e.key: Rivals.known(found.best, e.key, fits).sets for e, fits in pairs}
+    sets = tuple(tuple((*shared, *one) for one in rivals.get(e.key, ())) for e in new.effects)
     return replace(new, rivals=sets)
 
 

@@ -63,6 +63,7 @@ class Unseen:
     effects: tuple[Planned, ...]
     views: tuple[View, ...]  # the first along the readings, with numbers corrected; the last may be of motors
     of_joint: Mapping[str, View]
+    doubted: frozenset[str | None] = frozenset()  # joints with friction off by more than a tolerance explains
 
     def of_cause(self, k: int, joint: str) -> View:
         """The view in which what cause k does to a joint is measured. Along the motors a spring, and sensors
@@ -79,7 +80,10 @@ def unseen(best: Fit, nothing: Fit) -> Unseen:
     fitted = fit(unseen_problem(best.problem), best.effects)
     problem, effects, numbers = fitted.problem, fitted.effects, nominal_deviations(fitted)
     corrected = _view(problem, effects, _nominal(nothing), lambda some: _left(problem, some, numbers))
-    return in_views(corrected, effects)
+    doubted = zip(problem.nuisance, _doubted(problem, numbers), strict=True)
+    return replace(
+        in_views(corrected, effects), doubted=frozenset(number.joint for number, is_so in doubted if is_so)
+    )
 
 
 def in_views(corrected: View, effects: Sequence[Planned], singly: bool = True) -> Unseen:
@@ -220,9 +224,17 @@ def left_beside(problem: Problem, effects: Sequence[Planned]) -> np.ndarray:
 
 
 def _left(problem: Problem, effects: Sequence[Planned], numbers: np.ndarray) -> np.ndarray:
-    """(rows, N) what effects leave beside deviations (numbers,) of the nominal numbers."""
+    """(rows, N) what effects leave beside deviations (numbers,) of the nominal numbers, as far as a tolerance
+    explains them: friction that is further off is an error of the model."""
+    numbers = np.where(_doubted(problem, numbers), 0.0, numbers)
     every = problem.with_nominal([*effects, *deviation_effects(problem, numbers)])
     return _of(problem, every) - problem.jumped(numbers)[:, problem.readings.valid]
+
+
+def _doubted(problem: Problem, numbers: np.ndarray) -> np.ndarray:
+    """(numbers,) bool: friction of which deviations (numbers,) are more than a tolerance explains."""
+    rubs = [number.name == "motor_damping" for number in problem.nuisance]
+    return np.asarray(rubs & (np.abs(numbers) > problem.settings.verdict.believed))
 
 
 def _nominal(nothing: Fit) -> np.ndarray:

@@ -15,6 +15,7 @@ from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidates
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.selection import Selection
+from flexjoint.diagnosis.settings import USUAL
 from flexjoint.diagnosis.verdict.joints.by_itself import joint_by_joint
 from flexjoint.diagnosis.verdict.joints.friction import FRICTION
 from flexjoint.effects import Planned, effect
@@ -52,6 +53,24 @@ def test_friction_of_a_light_joint_is_found_beside_what_a_heavy_one_leaves() -> 
     assert found.values["level"] == pytest.approx(0.8, rel=0.1)
     (step,) = [step for step in after.trace if step.joint == other]
     assert (step.stage, step.action, step.check) == ("friction", "added", "background")
+
+
+@pytest.mark.parametrize("tolerances", [2.0, 5.0])
+def test_claimed_friction_that_is_off_by_more_than_a_tolerance_explains_is_a_cause(tolerances: float) -> None:
+    """Deviations of the nominal numbers may explain all of it, and then nothing is left that would tell."""
+    robot = nominal("crane")
+    joint = robot.joint(robot.joint_names[1])
+    more = tolerances * robot.tolerance.damping * joint.drive.D_m
+    selection, candidates = found_nothing(
+        Planted("motor_viscous_friction", joint.name, {"coefficient": more})
+    )
+
+    named = [e for e in completed(selection, candidates).best.effects if e.joint == joint.name]
+
+    assert [e.effect.name for e in named] == ["motor_viscous_friction"] * (
+        tolerances > USUAL.verdict.believed
+    )
+    assert all(e.values["coefficient"] == pytest.approx(more, rel=0.1) for e in named)
 
 
 def test_no_friction_is_added_to_a_healthy_machine() -> None:
