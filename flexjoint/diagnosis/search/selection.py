@@ -530,14 +530,17 @@ def containing(result: Fit, replaced: str) -> list[Fit]:
 
 def united(result: Fit) -> Fit:
     """The set without effects that are special cases of another one on the same joint, where that one alone
-    scores better."""
+    scores better, causes within other joints as they are."""
     for wide in result.effects:
         for narrow in result.effects:
             if narrow.joint != wide.joint or narrow.effect.name not in wide.effect.contains:
                 continue
+            if _makes_room(result, narrow):  # without it the claim is back
+                continue
             others = [e for e in result.effects if e is not narrow and e is not wide]
             for since in dict.fromkeys((wide.since, narrow.since)):
-                alone = date_onset(fit(result.problem, [*others, replace(wide, since=since)]))
+                one = replace(wide, since=since)
+                alone = date_onset(fit(result.problem, [*others, one], tried=one))
                 if score(alone) < score(result):
                     return united(alone)
     return result
