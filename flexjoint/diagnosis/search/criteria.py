@@ -148,6 +148,13 @@ def given_up_for(cause: Planned, effects: Sequence[Planned], nominal: Sequence[P
     return None
 
 
+def makes_room(effect: Planned, result: Fit) -> bool:
+    """Whether an effect only makes room for another one of its set: it is a part of that one, has no rivals
+    of its own, and stays as long as that does."""
+    others = (e for e in result.effects if e is not effect)
+    return any(given_up_for(e, result.effects, result.problem.nominal) is effect for e in others)
+
+
 def _absent(planned: Planned) -> bool:
     return _is_as(planned, {p.name: p.null for p in planned.effect.nulls})
 

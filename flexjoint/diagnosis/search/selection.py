@@ -21,7 +21,7 @@ from flexjoint.diagnosis.search.criteria import (
     at_own_level,
     contradicted,
     degenerate,
-    given_up_for,
+    makes_room,
     only_by_implausible,
     price,
     score,
@@ -438,7 +438,7 @@ def exchange(
     while waiting and not search.cut:
         key = waiting.pop(0)
         replaced = next((e for e in result.effects if e.key == key), None)
-        if replaced is None or _makes_room(result, replaced):
+        if replaced is None or makes_room(replaced, result):
             continue
         try:
             result, fits = _rivals_of(search, result, replaced)
@@ -459,12 +459,6 @@ def exchange(
             break
         rivals[key] = tuple(sorted(fits, key=score))
     return result, tuple(rivals.get(e.key, ()) for e in result.effects)
-
-
-def _makes_room(result: Fit, effect: Planned) -> bool:
-    """Whether an effect only makes room for another one of the set: that one has rivals, and it has none."""
-    nominal = result.problem.nominal
-    return any(given_up_for(e, result.effects, nominal) is effect for e in result.effects if e is not effect)
 
 
 def _rivals_of(search: Search, result: Fit, replaced: Planned) -> tuple[Fit, list[Fit]]:
@@ -535,7 +529,7 @@ def united(result: Fit) -> Fit:
         for narrow in result.effects:
             if narrow.joint != wide.joint or narrow.effect.name not in wide.effect.contains:
                 continue
-            if _makes_room(result, narrow):  # without it the claim is back
+            if makes_room(narrow, result):  # without it the claim is back
                 continue
             others = [e for e in result.effects if e is not narrow and e is not wide]
             for since in dict.fromkeys((wide.since, narrow.since)):
@@ -553,7 +547,8 @@ def prune(
     among: Collection[Key] | None = None,
 ) -> Fit:
     """Drop, one by one, the effects that the data do not support beside the others, or those `among` some. A
-    special case of an effect's law takes its place where the data support that. Effects that were supported
+    special case of an effect's law takes its place where the data support that. What makes room for another
+    effect stays as long as that does: beside the claim the law is another one. Effects that were supported
     beside the same neighbours (`standing`, or a round before) are not asked again. A set that leaves more
     than one without an effect has ended in a local minimum, and is fitted again from there."""
     result, known = united(result), dict(standing or {})
@@ -562,7 +557,9 @@ def prune(
         asked = [
             e
             for e in result.effects
-            if known.get(e.key) != _neighbours(result, e) and (among is None or e.key in among)
+            if known.get(e.key) != _neighbours(result, e)
+            and (among is None or e.key in among)
+            and not makes_room(e, result)
         ]
         without = pool.map(_without_unsupported, [(result, e) for e in asked])
         parts = [f for f in without if f is not None and _keys(f) < _keys(result)]

@@ -10,6 +10,7 @@ import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal, summary
 
+from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.regression.fit import fit
@@ -19,10 +20,13 @@ from flexjoint.diagnosis.result.known import planned_of
 from flexjoint.diagnosis.result.values import to_json
 from flexjoint.diagnosis.result.wording import parameters
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
-from flexjoint.diagnosis.search.criteria import at_own_level, degenerate
+from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, makes_room
 from flexjoint.diagnosis.search.scan import Scanner
+from flexjoint.diagnosis.search.selection import Search, Selection, exchange, prune
 from flexjoint.diagnosis.search.trials import added_to
 from flexjoint.diagnosis.settings import USUAL
+from flexjoint.diagnosis.verdict import cases as stages
+from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
 from flexjoint.diagnosis.verdict.instead import given_up_for, without
 from flexjoint.effects import effect
 from flexjoint.robot.robot import Robot
@@ -75,6 +79,29 @@ def test_what_makes_room_for_what() -> None:
     for one in (dahl, less):
         assert without(one, [dahl, less, elsewhere], [COULOMB]) == [elsewhere]
     assert without(more, [dahl, more], [COULOMB]) == [dahl]
+
+
+def test_what_makes_room_stays_as_long_as_the_law_does() -> None:
+    """Beside the claim the law is another one: twice the friction, of which a tolerance hides half."""
+    case = Case("lever", "rich", 91)
+    dahl = Planted("dahl_friction", "swing", {"level": LEVEL, "scale": SCALE})
+    problem = Problem(balances_of(claiming(), as_recording(case.with_causes(dahl), case.name)))
+    gone = replace(COULOMB, values={"level": 0.0}, nominal=False)
+    law = effect("dahl_friction", "swing", level=LEVEL, scale=SCALE)
+    nothing = at_own_level(fit(problem, []))
+    best = at_own_level(fit(nothing.problem, [gone, law]))
+    assert [makes_room(e, best) for e in best.effects] == [True, False]
+    with worker_pool([], 1) as pool:
+        search = Search(Scanner(enumerate_candidates(problem)), pool)
+
+        left = prune(best, pool)
+        found, rivals = exchange(search, best, best.effects)
+
+    assert left is best
+    assert found is best
+    assert not rivals[0]
+    case_of = stages.Case(Selection(best, nothing, (), (), rivals), ())
+    assert not any(one.effect.key == gone.key for one in UncertainSize().objections(case_of))
 
 
 def test_a_law_that_gives_way_is_tried_in_the_place_of_the_listed_one() -> None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from flexjoint.diagnosis.regression.uncertainty import certainty, standard_errors
-from flexjoint.diagnosis.search.criteria import prices, repeated
+from flexjoint.diagnosis.search.criteria import makes_room, prices, repeated
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
@@ -31,6 +31,7 @@ class UncertainSize(Check[Case]):
             joints = [k, *(other for other, first in again.items() if first == k)]
             certain[joints] = np.sqrt(np.sum(certain[joints] ** 2))
             price[joints] = price[k]
+        certain[[makes_room(e, best) for e in best.effects]] = np.inf  # what it makes room for is asked
         needed = np.maximum(self.limit(best.settings), np.sqrt(price))
         worst = int(np.argmin(certain / needed))
         if certain[worst] >= needed[worst]:
