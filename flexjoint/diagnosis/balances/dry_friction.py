@@ -91,19 +91,17 @@ class DryFriction:
         least, most = -limits.most_at_rest * backward, limits.most_at_rest * forward
         kink = limits.rest_rings * self._sigma * float(np.max(levels)) / inertia
         lost, given_back, changed = np.zeros_like(net), np.zeros_like(net), np.full_like(net, kink)
-        slowest = max(limits.least_rest_speed, 1e-6)
         for further in reversed(range(FRICTION_ROUNDS)):
+            filtered, error = speed.beside(changed)
+            rest = np.minimum(np.maximum(changed, self.rest_speed(error)), limits.rest_speed)
             moving, sticking, friction = _round(
-                speed.beside(changed),
-                changed,
-                given_back,
-                (slowest, limits.speed_deviations, limits.rest_speed),
+                (filtered, filtered + given_back),
+                rest,
                 (backward, forward, least, most),
                 (net, denoised_net, lost),
                 self._reach(limits.ringing),
-                window.ramp,
             )
-            spectrum = fft.rfft(friction)
+            spectrum = window.spectrum(friction)
             if further:
                 lost, integral = fft.irfft(spectrum * self._lost, window.size)[:, : window.count]
                 given_back = -integral / inertia
@@ -118,35 +116,24 @@ class DryFriction:
 
 @compiled
 def _round(
-    speed: tuple[np.ndarray, np.ndarray],
-    changed: np.ndarray,
-    given_back: np.ndarray,
-    limits: tuple[float, float, float],
+    speeds: tuple[np.ndarray, np.ndarray],
+    rest: np.ndarray,
     levels: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     pulls: tuple[np.ndarray, np.ndarray, np.ndarray],
     reach: int,
-    ramp: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One round of `DryFriction.spectrum`: (N,) share of the time about each sample in which the body moves,
-    the torque that would hold it, and (N + padding,) the friction.
+    the torque that would hold it, and the friction.
 
-    speed (N,) and its error; changed (N,): by how much friction changed the speed, and given_back (N,): what
-    the filter took away of that; limits: of `rest_speed`; levels (N,): backward, forward, least and most at
-    rest; pulls (N,): as measured, without noise, and what the filter took away of friction; reach: samples;
-    ramp (padding,): `Filter.ramp`.
+    speeds (N,): the filtered one, and with what the filter took away of it. Both must say that it moves:
+    where a body stands for longer than the filter between two motions, the iteration would become unstable.
+    rest (N,): the speed below which it stands; levels (N,): backward, forward, least and most at rest; pulls
+    (N,): as measured, without noise, and what the filter took away of friction; reach: samples.
     """
-    filtered, error = speed
-    slowest, deviations, rest_speed = limits
+    filtered, given = speeds
     backward, forward, least, most = levels
     net, denoised_net, lost = pulls
     count = filtered.size
-    rest = np.empty(count)
-    for k in range(count):
-        below = min(max(slowest, deviations * error[k]), rest_speed)
-        rest[k] = min(max(changed[k], below), rest_speed)
-    # the filtered speed must say so, too: where a body stands for longer than the filter between two motions,
-    # the iteration would become unstable
-    given = filtered + given_back
     ahead, back, moving = np.empty(count), np.empty(count), np.empty(count)
     for k in range(count):
         # speeds are linear between samples: a law that switched with the sample would jump with every number
@@ -160,13 +147,11 @@ def _round(
         ahead[k], back[k] = min(max(up, 0.0), 1.0), min(max(down, 0.0), 1.0)
         moving[k] = ahead[k] + back[k]
     near = greatest(moving, reach)
-    sticking, friction = np.empty(count), np.empty(count + ramp.size)
+    sticking, friction = np.empty(count), np.empty(count)
     for k in range(count):
         far = denoised_net[k] + lost[k]
         sticking[k] = min(max(far + near[k] * (net[k] + lost[k] - far), least[k]), most[k])
         friction[k] = ahead[k] * forward[k] - back[k] * backward[k] + (1.0 - moving[k]) * sticking[k]
-    for k in range(ramp.size):  # so that the ends meet smoothly
-        friction[count + k] = friction[count - 1] * (1.0 - ramp[k]) + friction[0] * ramp[k]
     return moving, sticking, friction
 
 

@@ -52,14 +52,11 @@ class Rivals(Sequence[Fit]):
     def sets(self) -> tuple[tuple[Planned, ...], ...]:
         return tuple(one.effects for one in self.every)
 
-    def beside(self, best: Fit, replaced: Key | None = None) -> Rivals:
-        """Those of an effect in another set, `replaced` or the same one, without what that set has gained or
-        lost."""
+    def beside(self, best: Fit) -> Rivals:
+        """Those of the effect in another set, without what that set has gained or lost."""
         gone = {e.key for e in self.best.effects} - {e.key for e in best.effects}
         taken = {e.key for e in best.effects} | gone
-        return Rivals(
-            best, replaced or self.replaced, tuple(one for one in self.every if one.key not in taken)
-        )
+        return Rivals(best, self.replaced, tuple(one for one in self.every if one.key not in taken))
 
     @cached_property
     def fits(self) -> tuple[Fit, ...]:

@@ -31,7 +31,7 @@ def confirmed(
     is left of it, or they cannot be simulated."""
     known = {e.key for e in usual.best.effects}
     clocked = [on_regular_clock(recording) for recording in recordings]
-    best, rivals, dropped = found.selection.best, list(found.selection.rivals), []
+    best, dropped = found.selection.best, []
     for joint in dict.fromkeys(e.joint for e in best.effects if e.key not in known):
         new = [e for e in best.effects if e.key not in known and e.joint == joint]
         lowered = _lowered(robots, clocked, best.effects, new)
@@ -45,7 +45,6 @@ def confirmed(
         for e in new:
             at = next(k for k, one in enumerate(best.effects) if one.key == e.key)
             best = at_own_level(refit_without(best, best.effects[at]))
-            del rivals[at]
             dropped.append(e)
     left = [e for e in best.effects if e.key not in known]
     if not left:
@@ -58,7 +57,9 @@ def confirmed(
     if dropped:
         notes.append(f"not confirmed by the other recordings: {', '.join(map(str, dropped))}")
     return RobustFinding(
-        found.problem, replace(found.selection, best=best, rivals=tuple(rivals)), tuple(notes)
+        found.problem,
+        replace(found.selection, best=best, rivals=found.selection.rivals_beside(best)),
+        tuple(notes),
     )
 
 

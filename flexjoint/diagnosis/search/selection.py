@@ -73,8 +73,7 @@ class Selection:
     left_out: tuple[str, ...] = ()  # what the time allowed was too short for
 
     def rivals_beside(self, best: Fit) -> tuple[Rivals, ...]:
-        """The rivals of the effects of another set, of this selection's effects and others, beside that
-        set; those of a new effect are not known."""
+        """The rivals of each effect of another set, beside that set; none of an effect that is new in it."""
         known = {
             e.key: Rivals.known(self.best, e.key, fits)
             for e, fits in zip(self.best.effects, self.rivals, strict=True)

@@ -9,7 +9,7 @@ from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.criteria import at_own_level, score
 from flexjoint.diagnosis.search.rivals import Rivals
@@ -43,10 +43,6 @@ def selection() -> Selection:
     first = tuple(fit(best.problem, [viscous, elbow, one]) for one in (LINK, OFFSET))
     third = (fit(best.problem, [*best.effects[:2], effect("link_coulomb_friction", "elbow", level=4.0)]),)
     return Selection(best, nothing, (), (), (first, (), third))
-
-
-def keys(one: Fit) -> set[str]:
-    return {f"{e.effect.name} {e.joint}" for e in one.effects}
 
 
 def looked_at(rivals: object) -> bool:
