@@ -7,12 +7,13 @@ OLD := Python 3.11 or newer is needed; name one, e.g.: make PYTHON=python3.12
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-all lowest audit fuzz study lint docs site bench pictures clean
+.PHONY: help demo test test-ci test-all lowest audit fuzz study lint docs site bench pictures clean
 
 help:
 	@echo "make demo   diagnose a real robot's recording and leave the report in flexjoint-demo/"
 	@echo "make test   make lint, and tests"
-	@echo "make test-all   these and the long tests, which diagnose a lot: half an hour or more; .ci/run runs them"
+	@echo "make test-ci   these and long tests, which diagnose a lot: half an hour or more; .ci/run runs them"
+	@echo "make test-all   these and the longest ones: an hour or more; before a release"
 	@echo "make lowest   tests of the core with the lowest versions that pyproject.toml allows; some minutes"
 	@echo "make audit   known vulnerabilities of what is installed; pip-audit asks the package index"
 	@echo "make fuzz   hostile input to every reader and the main commands; an hour, EXAMPLES=300 for some minutes"
@@ -32,6 +33,9 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test: lint
 	$(PYTEST) -m "not thorough"
+
+test-ci: lint
+	$(PYTEST) -m "not exhaustive"
 
 test-all: lint
 	$(PYTEST)

@@ -1,6 +1,7 @@
-"""What only `make test-all` runs: tests that take long because they diagnose a lot, or a large robot.
+"""What takes long because it diagnoses a lot, or a large robot: `thorough` tests are left out by `make test`,
+the longest of them, `exhaustive`, by `make test-ci`, too. `make test-all` runs all.
 
-`make test` keeps a fixed part of every long list of diagnoses, so that each rule is tried by it, too.
+A fixed part of every long list of diagnoses is in each, so that each rule is tried by it, too.
 """
 
 from __future__ import annotations
@@ -11,15 +12,23 @@ from typing import Any
 import pytest
 
 thorough = pytest.mark.thorough
+EXHAUSTIVE = (thorough, pytest.mark.exhaustive)  # marks of a case
 
 
-def sample(cases: Iterable[Any], one_in: int, several: bool = False) -> list[Any]:
-    """The cases as parameters of a test: one of every `one_in` is run always, the others are thorough.
+def exhaustive(test: Any) -> Any:
+    """The test marked as one of the longest."""
+    return thorough(pytest.mark.exhaustive(test))
+
+
+def sample(cases: Iterable[Any], one_in: int, several: bool = False, thorough_in: int = 1) -> list[Any]:
+    """The cases as parameters of a test: one of every `one_in` is run always, one of every `thorough_in` is
+    thorough, and the others are exhaustive.
 
     `several` says that a case is a tuple of several arguments.
     """
     marked = []
     for number, case in enumerate(cases):
         values = tuple(case) if several else (case,)
-        marked.append(pytest.param(*values, marks=() if number % one_in == 0 else thorough))
+        marks: Any = () if number % one_in == 0 else thorough if number % thorough_in == 0 else EXHAUSTIVE
+        marked.append(pytest.param(*values, marks=marks))
     return marked

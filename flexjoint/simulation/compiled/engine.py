@@ -30,6 +30,9 @@ from flexjoint.simulation.trajectory import Past
 Made = TypeVar("Made", CompiledModel, CompiledRates)
 LONG = 20_000  # steps from which `auto` compiles any model
 PER_JOINT = 2_500  # and of small ones, joint by joint: about the pin loop's time for a compilation
+PER_RUBBING_JOINT = (
+    1_000  # where a step solves dry friction, which takes the pin loop three to ten times longer
+)
 LEAST = 5_000
 
 log = logging.getLogger("flexjoint")
@@ -38,7 +41,8 @@ _said: set[str] = set()
 
 def long(model: FlexibleJointModel) -> int:
     """Steps from which `auto` compiles the model."""
-    return min(LONG, max(LEAST, PER_JOINT * len(model.joints)))
+    each = PER_RUBBING_JOINT if model.rubs else PER_JOINT
+    return min(LONG, max(LEAST, each * len(model.joints)))
 
 
 def choose(
