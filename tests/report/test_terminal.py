@@ -7,11 +7,13 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from rich.console import Console
 from support.fake_diagnosis import slide, traced
 
 from flexjoint.diagnosis import result as d
+from flexjoint.diagnosis.result import sentences
 from flexjoint.diagnosis.result.wording import when
 from flexjoint.effects import effect
 from flexjoint.report import terminal
@@ -281,6 +283,21 @@ def test_a_law_in_the_place_of_a_listed_one_is_told_so():
     note = "in the place of motor Coulomb friction (25 → 3.5 N m)"
     text = words(replace(CAUSES, findings=(replace(backlash(), instead_of=coulomb, note=note),)))
     assert f"(gap 0.0112 ± 0.0002 rad, {note}), probability 97 %" in text
+
+
+def test_a_law_and_the_claim_in_whose_place_it_is_are_not_told_as_correlated():
+    dahl = replace(backlash(), effect="dahl_friction", joint="elbow")
+    coulomb = replace(dahl, effect="motor_coulomb_friction")
+    names = ("dahl_friction.elbow.level", "dahl_friction.elbow.scale", "motor_coulomb_friction.elbow.level")
+    correlation = np.array([[1.0, -0.97, 0.99], [-0.97, 1.0, 0.2], [0.99, 0.2, 1.0]])
+    result = replace(
+        CAUSES,
+        findings=(replace(dahl, instead_of=coulomb),),
+        estimation=d.Estimation("balances", "", names, correlation),
+    )
+    (told,) = sentences.numbers(result)
+    assert "scale of Dahl friction at elbow and level of Dahl friction at elbow" in told
+    assert len(sentences.numbers(replace(result, findings=(dahl, coulomb)))) == 2
 
 
 def test_no_fall_is_no_gain():

@@ -221,6 +221,11 @@ class Balances:
                 add(out, r, change)
         return out
 
+    @property
+    def moves_links(self) -> bool:
+        """Whether errors of balances move links, which have no encoder."""
+        return bool(self.missing_links or self.sprung_links.rows)
+
     def _sprung(self, spectra: Mapping[int, np.ndarray], numbers: Numbers) -> dict[int, np.ndarray]:
         """The same of links of which a torque sensor tells: nothing is left of their springs' balances."""
         out: dict[int, np.ndarray] = {}
@@ -331,6 +336,11 @@ class Balances:
     def inertial_torque(self, i: int, added: np.ndarray) -> np.ndarray:
         """(n, N) torques of a change (10,) of the inertial parameters of joint i's link."""
         return self.motion.rigid.regressor.torque(i, added)
+
+    def inertial_torques_on(self, joint: int, i: int, added: np.ndarray) -> np.ndarray | None:
+        """(d, N) torques on one joint of changes (d, 10) of the inertial parameters of joint i's link; None
+        where it does not carry that."""
+        return self.motion.rigid.regressor.torques_on(joint, i, added)
 
 
 class TwinBalances(Balances):

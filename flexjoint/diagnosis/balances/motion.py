@@ -111,6 +111,13 @@ class Regressor:
         out[rows] = np.tensordot(added, kept, 1)
         return out
 
+    def torques_on(self, joint: int, i: int, added: np.ndarray) -> np.ndarray | None:
+        """(d, N) torques on one joint of changes (d, 10) of the inertial parameters of joint i's link; None
+        where it does not carry that."""
+        rows, kept = self._bodies[i]
+        (at,) = np.nonzero(rows == joint)
+        return added @ kept[:, at[0]] if at.size else None
+
 
 @dataclass(frozen=True)
 class Rigid:

@@ -146,8 +146,8 @@ def as_effects(
 
 @dataclass(frozen=True)
 class _Carried:
-    """What a friction that sticks carries of links' loads in one balance, by their number's index, before it
-    is whitened."""
+    """What a friction that sticks carries of links' loads in one balance, by link, before it is whitened: a
+    band of all numbers of the link."""
 
     bands: Mapping[int, Band]
 
@@ -166,7 +166,7 @@ class Columns:
         self.nuisance: list[NominalNumber] = []
         self._recent: LruCache[Band] = LruCache()
         self._carried: LruCache[_Carried] = LruCache()
-        self._directions: dict[int, np.ndarray] = {}  # (10,) of a link's parameters, by number
+        self._directions: dict[int, dict[int, np.ndarray]] = {}  # (10,) of a link's parameters, by number
         self._jumps: list[Unknown] = []
         self.samples = whitening.time.size * len(balances.rows)
         columns = self._drive_columns() + self._inertial_columns() + self._effect_columns()
@@ -223,7 +223,7 @@ class Columns:
                 continue
             for direction in inertial_directions(nominal, tolerance, other, com):
                 columns.append(self._column(self._load_rows(self.balances.inertial_torque(i, direction))))
-                self._directions[len(self.nuisance)] = direction
+                self._directions.setdefault(i, {})[len(self.nuisance)] = direction
                 self.nuisance.append(NominalNumber("inertial", joint=joint.name, std=tolerance))
         return columns
 
@@ -373,22 +373,28 @@ class Columns:
             own = entangled.get(names[row.joint], ())
             if chains.rests_on_load(row.joint, own):
                 key, make = (row, *(e.identity for e in own)), partial(self._held, row, own)
-                for k, band in self._carried.get(key, make, REMEMBERED).bands.items():
-                    carried.setdefault(k, []).append(band)
-        return {
-            k: self.matrix[k] + self.whitening.white(joined(bands)).ravel() for k, bands in carried.items()
-        }
+                for i, band in self._carried.get(key, make, REMEMBERED).bands.items():
+                    carried.setdefault(i, []).append(band)
+        out: dict[int, np.ndarray] = {}
+        for i, bands in carried.items():
+            columns = self.whitening.white(joined(bands)).reshape(-1, self.samples)
+            for k, column in zip(self._directions[i], columns, strict=True):
+                out[k] = self.matrix[k] + column
+        return out
 
     def _held(self, row: Row, own: Sequence[Planned]) -> _Carried:
         """What a friction carries of the loads in a balance, beside effects of its joint."""
         chain = self.balances.chains.get(row.joint, own)
         where = self.balances.holding(row, chain)
         out: dict[int, Band] = {}
-        for k, direction in self._directions.items() if where is not None else ():
-            at = self.robot.joint_names.index(str(self.nuisance[k].joint))
-            torque = self.balances.inertial_torque(at, direction)[row.joint]
-            if torque.any():
-                out[k] = self._band({(row.balance, row.joint): self._spectrum(where * torque)})
+        if where is None:
+            return _Carried(out)
+        for i, directions in self._directions.items():
+            each = np.array(list(directions.values()))
+            torques = self.balances.inertial_torques_on(row.joint, i, each)
+            if torques is not None:
+                at = self.balances.rows.index(row)
+                out[i] = self.whitening.bands(at, self._spectrum(where * torques))
         return _Carried(out)
 
     def load_band(self, torque: np.ndarray) -> Band:

@@ -175,9 +175,10 @@ class Problem(Recorded):
         """The same problem with the nominal numbers' columns evaluated with these effects, beyond the
         nominal model's, at work (`nuisance.entangles`)."""
         entangled = self._columns.entangled(self.with_nominal(effects))
-        if not entangled and not self._entangled:
+        here = tuple(e for own in entangled.values() for e in own)
+        if [e.identity for e in here] == [e.identity for e in self._entangled]:
             return self
-        return self._changed(_entangled=tuple(e for own in entangled.values() for e in own))
+        return self._changed(_entangled=here)
 
     def _moves_by(self, effects: Sequence[Planned]) -> Moves:
         changed = self._columns.beside(effects)

@@ -35,11 +35,11 @@ SAMPLES = 24  # draws of a noise, which tell a mean chi-square of two numbers to
 
 @dataclass(frozen=True)
 class Band:
-    """The spectra of some balances within the whitened band. They are much smaller than whitened series, for
-    a whitened series of a balance contains parts of all balances before it."""
+    """The spectra of some balances within the whitened band, of one change or of several. They are much
+    smaller than whitened series, for such a series of a balance contains parts of all balances before it."""
 
     rows: np.ndarray  # (k,) ascending
-    spectra: np.ndarray  # (k, F_band)
+    spectra: np.ndarray  # (..., k, F_band)
 
     @property
     def first(self) -> int:
@@ -56,9 +56,10 @@ def joined(bands: Sequence[Band]) -> Band:
     if len(bands) == 1:
         return bands[0]
     rows = np.unique(np.concatenate([band.rows for band in bands]))
-    spectra = np.zeros((rows.size, bands[0].spectra.shape[1]), dtype=complex)
+    *several, _, bins = bands[0].spectra.shape
+    spectra = np.zeros((*several, rows.size, bins), dtype=complex)
     for band in bands:
-        spectra[np.searchsorted(rows, band.rows)] += band.spectra
+        spectra[..., np.searchsorted(rows, band.rows), :] += band.spectra
     return Band(rows, spectra)
 
 
@@ -112,6 +113,18 @@ class Whitening:
             series[np.searchsorted(rows, row), : change.size] += change
         return self._windowed(rows, series)
 
+    def bands(self, row: int, spectra: np.ndarray) -> Band:
+        """`band` of several changes of one balance (d, F), as one band of several."""
+        balances = self.noise.balances
+        if not balances.moves_links:
+            return self._windowed(np.array([row]), fft.irfft(spectra, self.size, axis=-1)[:, None])
+        each = [self.band({row: spectrum}) for spectrum in spectra]
+        rows = np.unique(np.concatenate([band.rows for band in each]))
+        out = np.zeros((len(each), rows.size, self.taper.size), dtype=complex)
+        for band, one in zip(each, out, strict=True):
+            one[np.searchsorted(rows, band.rows)] = band.spectra
+        return Band(rows, out)
+
     def band_of(self, series: Mapping[int, np.ndarray]) -> Band:
         """The whitened part of series (N,) of some balances, by row, that links without encoder have moved
         already."""
@@ -123,20 +136,21 @@ class Whitening:
     def _windowed(self, rows: np.ndarray, series: np.ndarray) -> Band:
         # what lies beyond edges and gaps is cut off first, for whitening would spread it over the record
         spectra = fft.rfft(series * self.window, axis=-1)
-        return Band(rows, spectra[:, : self.taper.size] * self.taper)
+        return Band(rows, spectra[..., : self.taper.size] * self.taper)
 
     def white(self, band: Band) -> np.ndarray:
-        """(m, K): whitened series at the usable samples."""
-        white = np.zeros((len(self.matrix), self.keep.size))
-        white[band.first :] = self.white_from(band, band.first)
+        """(..., m, K): whitened series at the usable samples."""
+        white = np.zeros((*band.spectra.shape[:-2], len(self.matrix), self.keep.size))
+        white[..., band.first :, :] = self.white_from(band, band.first)
         return white
 
     def white_from(self, band: Band, first: int) -> np.ndarray:
-        """(m - first, K): the same from some balance on; before the band's first one it is zero."""
-        mixed = np.zeros((len(self.matrix) - first, self.taper.size), dtype=complex)
-        for row, spectrum in zip(band.rows, band.spectra, strict=True):
-            mixed[row - first :] += self.matrix[row:, row] * spectrum
-        return np.asarray(fft.irfft(mixed, self.length, axis=-1)[:, self.keep] * self.scale)
+        """(..., m - first, K): the same from some balance on; before the band's first one it is zero."""
+        several = band.spectra.shape[:-2]
+        mixed = np.zeros((*several, len(self.matrix) - first, self.taper.size), dtype=complex)
+        for k, row in enumerate(band.rows):
+            mixed[..., row - first :, :] += self.matrix[row:, row] * band.spectra[..., k, None, :]
+        return np.asarray(fft.irfft(mixed, self.length, axis=-1)[..., self.keep] * self.scale)
 
 
 def make(

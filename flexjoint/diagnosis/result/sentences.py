@@ -143,16 +143,19 @@ def ties(diagnosis: Result) -> tuple[str, ...]:
 
 
 def numbers(diagnosis: Result) -> tuple[str, ...]:
-    """What to know of the causes' numbers: which are correlated, which are at a bound."""
+    """What to know of the causes' numbers: which are correlated, but for those of a law with the claim in
+    whose place it is, and which are at a bound."""
     estimation = diagnosis.estimation
     if estimation is None:
         return ()
+    tight = estimation.tight(USUAL.verdict.correlated)
+    apart = [pair for pair in tight if not _in_one_place(diagnosis, *pair[:2])]
     said = [
         sentence(
             f"The errors of {_parameter(one)} and {_parameter(other)} are correlated by {size:.2f}: this"
             " recording determines them only together"
         )
-        for one, other, size in estimation.tight(USUAL.verdict.correlated)[:MOST_PAIRS]
+        for one, other, size in apart[:MOST_PAIRS]
     ]
     if estimation.at_bounds:
         names = listed(f"{_parameter(name)} ({bound})" for name, bound in estimation.at_bounds)
@@ -172,6 +175,16 @@ def found_by(diagnosis: Result) -> str:
         )
     why = f": {clean(estimation.why)}" if estimation.why else ""
     return sentence(f"Numbers are those of the torque balances{why}")
+
+
+def _in_one_place(diagnosis: Result, one: str, other: str) -> bool:
+    """Whether two numbers are those of a law and of the claim in whose place it is."""
+    for finding in diagnosis.findings:
+        if finding.instead_of is not None:
+            parts = tuple(f"{f.effect}.{f.joint}." for f in (finding, finding.instead_of))
+            if {p for p in parts for name in (one, other) if name.startswith(p)} == set(parts):
+                return True
+    return False
 
 
 def _parameter(name: str) -> str:

@@ -78,10 +78,10 @@ def _moved(
     return at(best)
 
 
-def switched(result: Fit) -> Fit:
+def switched(result: Fit, finely: bool = True) -> Fit:
     """The last effect with the times at which it ceases and acts again, where it may do so
     (`Effect.comes_and_goes`) and the data support them: times for given numbers, and numbers for given times,
-    in turn until neither gains.
+    in turn until neither gains. Without `finely` times are those of white samples.
 
     The level of a set that holds all the time what comes and goes counts what that leaves as noise. Gains are
     therefore those in likelihood where the variance of each balance is unknown, n log(E) (`_lowered`)."""
@@ -99,7 +99,7 @@ def switched(result: Fit) -> Fit:
         if _lowered(best, _squares(trial)) <= limits.price_number * more:
             break
         best = trial
-    return _dated_finely(best) if best.effects[-1].switches else best
+    return _dated_finely(best) if finely and best.effects[-1].switches else best
 
 
 def _squares(result: Fit) -> np.ndarray:

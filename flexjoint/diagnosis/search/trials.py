@@ -370,14 +370,14 @@ def _polished(task: tuple[Fit, Scored]) -> Fit | None:
 
 
 def _added(task: tuple[Fit, Scored]) -> Fit | None:
-    return added_to(*task)
+    return added_to(*task, finely=False)  # `settled` dates those that clear most of what is wrong
 
 
-def added_to(current: Fit, scored: Scored) -> Fit | None:
+def added_to(current: Fit, scored: Scored, finely: bool = True) -> Fit | None:
     """A set with a candidate added, fitted and dated, causes within other joints as they are; None where its
-    fitted numbers mean nothing (`degenerate`)."""
+    fitted numbers mean nothing (`degenerate`). `finely`: as of `switched`."""
     planned = scored.planned()
-    fitted = switched(date_onset(fit(current.problem, [*current.effects, planned], tried=planned)))
+    fitted = switched(date_onset(fit(current.problem, [*current.effects, planned], tried=planned)), finely)
     instead = _in_the_place_of_a_listed_one(current, fitted.effects[-1])
     if instead is not None and score(instead) < score(fitted):
         fitted = instead
@@ -406,7 +406,8 @@ def settled(result: Fit, tried: Planned | None = None) -> Fit:
     """The set at the noise level that it leaves itself (`at_own_level`), its last effect dated there: an
     onset is found no better than the noise level lets it."""
     refitted = at_own_level(result, tried)
-    if refitted.effects[-1].since is None or same_level(refitted.problem.level, result.problem.level):
+    last, same = refitted.effects[-1], same_level(refitted.problem.level, result.problem.level)
+    if last.since is None or (same and not last.switches):
         return refitted
-    dated = switched(refitted) if refitted.effects[-1].switches else date_onset(refitted)
+    dated = switched(refitted) if last.switches else date_onset(refitted)
     return refitted if dated is refitted else at_own_level(dated, tried)
