@@ -24,6 +24,7 @@ from flexjoint.model.joint import neighbours
 
 INVERSION_ROUNDS = 6  # of the fixed point true = measured - (map(true) - true); slopes near 1 assumed
 CORRECTED = 1e7  # bytes of readings with what sensors do taken back
+STATES = 1e7  # bytes of states along the motion as it was read
 SMALL_TORQUE = 1e-3  # of a joint's torque: below every limit, above rounding
 LEAST_GAIN = 0.05  # below which a motor is without torque, and its balance no prediction of it
 DRIVING = ("q", "dq", "theta", "dtheta", "phi", "dphi")  # signals that states may see
@@ -42,6 +43,7 @@ class Laws:
         self._bases: dict[int, JointReadings] = {}
         self._played: dict[tuple[int, str], np.ndarray | None] = {}
         self._corrected: LruCache[JointReadings] = LruCache()
+        self._states: LruCache[np.ndarray] = LruCache()
         self.friction = DryFriction(motion.filter, motion.readings.sigma, motion.readings.settings.balances)
 
     @property
@@ -273,9 +275,18 @@ class Laws:
         """Internal state of an effect along the recording, driven by its joint's signals without noise."""
         if not e.effect.states:
             return 0.0
-        smooth = self._without_noise(e, signals)
-        smooth.phi = self.filter.smooth(smooth.phi)
-        return state_along(e, smooth, self.period, reach_of_ends(self.motion.readings))
+
+        def along() -> np.ndarray:
+            smooth = self._without_noise(e, signals)
+            smooth.phi = self.filter.smooth(smooth.phi)
+            return state_along(e, smooth, self.period, reach_of_ends(self.motion.readings))
+
+        if e.joint is None:
+            return along()
+        base = self.base(self.motion.robot.joint_names.index(e.joint))
+        if any(getattr(signals, name) is not getattr(base, name) for name in DRIVING):  # effects change them
+            return along()
+        return self._states.get(e.identity, along, STATES)
 
     def _without_noise(self, e: Planned, signals: Signals) -> Signals:
         """A copy of the signals of an effect's joint without their sensors' noise: a state's law takes the

@@ -37,9 +37,9 @@ class Case:
     selection: Selection
     trace: tuple[Step, ...]
 
-    def changed(self, selection: Selection, step: Step) -> Self:
-        """The case after a step."""
-        return replace(self, selection=selection, trace=(*self.trace, step))
+    def changed(self, selection: Selection, *steps: Step) -> Self:
+        """The case after some steps."""
+        return replace(self, selection=selection, trace=(*self.trace, *steps))
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class SimulatedCase(Case):
     budget: Budget = field(default=UNLIMITED, kw_only=True)
     late: list[str] = field(default_factory=list, kw_only=True, repr=False, compare=False)
 
-    def changed(self, selection: Selection, step: Step) -> Self:
-        return super().changed(selection, step).simulated()
+    def changed(self, selection: Selection, *steps: Step) -> Self:
+        return super().changed(selection, *steps).simulated()
 
     def simulated(self) -> Self:
         """The case with its set's simulation on held-out data."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeVar
 
 from flexjoint.diagnosis.result import Step
@@ -12,6 +12,7 @@ from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection
 from flexjoint.diagnosis.verdict.edits import plainer, without
 
 Looked = TypeVar("Looked", bound=Case)
+ROOM = "makes room"  # in the trace
 
 
 def reviewed(case: Looked, checks: Sequence[Check[Looked]]) -> Looked:
@@ -47,7 +48,8 @@ def _edited(case: Looked, check: Check[Looked], objection: Objection) -> Looked:
         after = plainer(before, effect)
     else:
         after = without(before, effect)
-    return case.changed(after, _step(check, objection, before, after))
+    steps = (_step(check, objection, before, after), *_with_it(check, objection, before, after))
+    return case.changed(after, *steps)
 
 
 def _step(check: Check[Looked], objection: Objection, before: Selection, after: Selection) -> Step:
@@ -64,6 +66,20 @@ def _step(check: Check[Looked], objection: Objection, before: Selection, after: 
         evidence=objection.evidence,
         text=f"{done}: {objection.why}",
     )
+
+
+def _with_it(
+    check: Check[Looked], objection: Objection, before: Selection, after: Selection
+) -> Iterator[Step]:
+    """The steps of what went with a cause, because it only made room for that."""
+    effect, left = objection.effect, {e.key for e in after.best.effects}
+    if objection.instead is not None or not left < {e.key for e in before.best.effects}:
+        return
+    for one in before.best.effects:
+        if one.key not in {*left, effect.key}:
+            name, joint = one.key
+            why = f"{one} is not reported: it made room for {effect}"
+            yield Step(check.stage, "dropped", name, joint, None, ROOM, objection.evidence, why)
 
 
 def notes(trace: Iterable[Step]) -> tuple[str, ...]:

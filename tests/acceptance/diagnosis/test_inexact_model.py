@@ -26,7 +26,9 @@ NOISE = {
 }
 
 
-@pytest.mark.parametrize("number", sample([*HARD, *NOISE], one_in=24), ids=lambda n: {**HARD, **NOISE}[n])
+@pytest.mark.parametrize(
+    "number", sample([*HARD, *NOISE], one_in=24, thorough_in=2), ids=lambda n: {**HARD, **NOISE}[n]
+)
 def test_a_small_cause_is_named_beside_an_inexact_model(number: int) -> None:
     record = diagnosed(make("single", number))
     assert outcome(record) in ("exact", "tied"), (record["verdict"], record["findings"])

@@ -130,7 +130,7 @@ def test_every_effect_that_came_later_is_one_of_the_catalogue() -> None:
     assert set(BEYOND) <= set(catalogue())
 
 
-@pytest.mark.parametrize("single", sample(SINGLES, one_in=20, thorough_in=2), ids=lambda s: s.name)
+@pytest.mark.parametrize("single", sample(SINGLES, one_in=20, thorough_in=3), ids=lambda s: s.name)
 def test_a_planted_cause_is_named_and_measured(single: Single) -> None:
     result, cause = diagnosis(single.case, single.name), single.cause
     told = summary(result)
@@ -156,7 +156,7 @@ def test_a_planted_cause_is_named_and_measured(single: Single) -> None:
             assert finding.parameters[word] == cause.word(word), told
 
 
-@pytest.mark.parametrize("case", sample(HEALTHY, one_in=12), ids=lambda c: c.name)
+@pytest.mark.parametrize("case", sample(HEALTHY, one_in=12, thorough_in=3), ids=lambda c: c.name)
 def test_a_healthy_machine_is_called_healthy(case: Case) -> None:
     result = diagnosis(case)
     told = summary(result)

@@ -12,7 +12,7 @@ from functools import cache
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
-from support.thorough import thorough
+from support.thorough import exhaustive, thorough
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis
@@ -59,7 +59,7 @@ def test_the_extended_model_simulates_what_the_rigid_one_gets_wrong() -> None:
     assert after < 0.2 * before
 
 
-@thorough
+@exhaustive
 def test_friction_beside_it_is_found_too() -> None:
     friction = Planted("motor_coulomb_friction", "swing", {"level": 4.0})
     found = diagnose(taken_as_rigid("lever", "swing"), motors_alone(Case("lever", "rich", 62), friction))

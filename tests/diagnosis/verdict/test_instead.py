@@ -24,10 +24,12 @@ from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, makes_
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.search.selection import Search, Selection, exchange, prune
 from flexjoint.diagnosis.search.trials import added_to
-from flexjoint.diagnosis.settings import USUAL
+from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict import cases as stages
+from flexjoint.diagnosis.verdict.checks import Check, Objection
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
 from flexjoint.diagnosis.verdict.instead import given_up_for, without
+from flexjoint.diagnosis.verdict.review import reviewed
 from flexjoint.effects import effect
 from flexjoint.robot.robot import Robot
 
@@ -102,6 +104,37 @@ def test_what_makes_room_stays_as_long_as_the_law_does() -> None:
     assert not rivals[0]
     case_of = stages.Case(Selection(best, nothing, (), (), rivals), ())
     assert not any(one.effect.key == gone.key for one in UncertainSize().objections(case_of))
+
+
+class NoDahl(Check[stages.Case]):
+    name, stage, reason = "no Dahl", "balances", "It is not wanted."
+
+    def limit(self, settings: Settings) -> float:
+        return 0.0
+
+    def objections(self, case: stages.Case) -> tuple[Objection, ...]:
+        found = [e for e in case.selection.best.effects if e.effect.name == "dahl_friction"]
+        return tuple(Objection(e, 1.0, "it is not wanted") for e in found)
+
+
+@pytest.mark.parametrize("level", [LEVEL, 1.5 * LEVEL])
+def test_what_made_room_for_a_law_goes_with_it_unless_it_is_off_by_itself(level: float) -> None:
+    case, really = Case("lever", "rich", 93), Planted("motor_coulomb_friction", "swing", {"level": level})
+    problem = Problem(balances_of(claiming(), as_recording(case.with_causes(really), case.name)))
+    gone = replace(COULOMB, values={"level": 0.0}, nominal=False)
+    law = effect("dahl_friction", "swing", level=level, scale=1e-3)
+    nothing = at_own_level(fit(problem, []))
+    best = at_own_level(fit(nothing.problem, [gone, law]))
+    case_of = stages.Case(Selection(best, nothing, (), (), ((), ())), ())
+    left = reviewed(case_of, (NoDahl(),))
+    told = [(step.effect, step.check) for step in left.trace]
+    if level == LEVEL:
+        assert not left.selection.best.effects
+        assert told == [("dahl_friction", "no Dahl"), ("motor_coulomb_friction", "makes room")]
+    else:
+        (off,) = left.selection.best.effects
+        assert off.key == COULOMB.key and off.values["level"] == pytest.approx(level, rel=0.02)
+        assert told == [("dahl_friction", "no Dahl")]
 
 
 def test_a_law_that_gives_way_is_tried_in_the_place_of_the_listed_one() -> None:

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.uncertainty import certainty, standard_errors
-from flexjoint.diagnosis.search.criteria import makes_room, prices, repeated
+from flexjoint.diagnosis.search.criteria import known_sizes, makes_room
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
@@ -24,15 +23,8 @@ class UncertainSize(Check[Case]):
 
     def objections(self, case: Case) -> tuple[Objection, ...]:
         best = case.selection.best
-        pairs = zip(best.effects, standard_errors(best), strict=True)
-        certain = np.array([certainty(best, e, std) for e, std in pairs])
-        price, again = np.array(prices(best)), repeated(best.effects, best.settings.search)
-        for k in set(again.values()):  # one cause of several joints: they tell together how large it is
-            joints = [k, *(other for other, first in again.items() if first == k)]
-            certain[joints] = np.sqrt(np.sum(certain[joints] ** 2))
-            price[joints] = price[k]
+        certain, needed = known_sizes(best, self.limit(best.settings))
         certain[[makes_room(e, best) for e in best.effects]] = np.inf  # what it makes room for is asked
-        needed = np.maximum(self.limit(best.settings), np.sqrt(price))
         worst = int(np.argmin(certain / needed))
         if certain[worst] >= needed[worst]:
             return ()
