@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 from planting import BEYOND, CATALOGUE, Planted
 from support.diagnose_cases import Case, as_recording, found_in, nominal, summary
-from support.thorough import sample, thorough
+from support.thorough import EXHAUSTIVE, sample, thorough
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis, to_json
@@ -254,14 +254,14 @@ def test_a_cause_is_named_beside_numbers_that_are_off() -> None:
     assert result.findings[0].parameters["gap"].value == pytest.approx(0.009, rel=0.1), told
 
 
-@thorough
 @pytest.mark.parametrize(
     ("planted", "excluded"),
     [
-        ("backlash", {"backlash"}),
-        ("load_friction", {"load_friction", "drive_efficiency"}),  # the second contains the first
-        ("hardening_spring", {"hardening_spring"}),
-        ("payload", {"payload"}),
+        pytest.param("backlash", {"backlash"}, marks=EXHAUSTIVE),
+        # the second contains the first
+        pytest.param("load_friction", {"load_friction", "drive_efficiency"}, marks=EXHAUSTIVE),
+        pytest.param("hardening_spring", {"hardening_spring"}, marks=thorough),
+        pytest.param("payload", {"payload"}, marks=thorough),
     ],
 )
 def test_without_the_true_effect_no_wrong_one_is_claimed(planted: str, excluded: set[str]) -> None:

@@ -284,7 +284,7 @@ def test_a_finding_stands_for_one_of_two_causes() -> None:
 
 
 # --- the sample -------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("part", "number"), sample(NAMED, one_in=48, several=True, thorough_in=2))
+@pytest.mark.parametrize(("part", "number"), sample(NAMED, one_in=48, several=True, thorough_in=3))
 def test_planted_causes_are_named(part: str, number: int) -> None:
     found = diagnosed(make(part, number))
     assert detectable(found)

@@ -13,7 +13,7 @@ from study.cases import COUNTS, FRESH_KINDS, FRESH_ROBOTS, FRESH_SEEDS, TRIALS, 
 from study.page import markdown
 from study.run import diagnosed, ranges
 from study.summary import Rate
-from support.thorough import thorough
+from support.thorough import EXHAUSTIVE, thorough
 
 LAST = COUNTS["fresh"]
 
@@ -134,7 +134,12 @@ def test_the_page_says_that_no_rule_comes_from_it() -> None:
 
 
 @pytest.mark.parametrize(
-    "number", [LAST + 3, *(pytest.param(LAST + k, marks=thorough) for k in (1, 2, 7, 9))]
+    "number",
+    [
+        LAST + 3,
+        *(pytest.param(LAST + k, marks=thorough) for k in (7, 9)),
+        *(pytest.param(LAST + k, marks=EXHAUSTIVE) for k in (1, 2)),
+    ],
 )
 def test_a_trial_is_diagnosed(number: int) -> None:
     case = make("fresh", number)
