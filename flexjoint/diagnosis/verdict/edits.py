@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
-from flexjoint.diagnosis.search.criteria import at_own_level, degenerate, given_up_for, known_sizes, supported
+from flexjoint.diagnosis.search.criteria import (
+    at_own_level,
+    degenerate,
+    given_up_for,
+    known_sizes,
+    supported,
+)
 from flexjoint.diagnosis.search.rivals import Rivals
 from flexjoint.diagnosis.search.selection import Selection, choose
 from flexjoint.effects import Planned
@@ -43,14 +49,13 @@ def given_way(selection: Selection, k: int, rival: Fit, refitted: Fit) -> Select
 
 def without(selection: Selection, effect: Planned) -> Selection:
     """The selection with one of its causes taken out, the others fitted again. What made room for it, of what
-    the nominal model claims, stays where the data support that by itself."""
+    the nominal model claims, stays where its size is known by itself."""
     best = selection.best
     left = at_own_level(fit(best.problem, [e for e in best.effects if e.key != effect.key]))
     room = given_up_for(effect, best.effects, best.problem.nominal)
     if room is not None:
         k = next(k for k, e in enumerate(left.effects) if e.key == room.key)
-        bare = refit_without(left, left.effects[k])
         certain, needed = known_sizes(left, left.settings.verdict.sure)
-        if certain[k] < needed[k] or not supported(left, bare, left.effects[k]):
-            left = at_own_level(bare)
+        if certain[k] < needed[k]:
+            left = at_own_level(refit_without(left, left.effects[k]))
     return replace(selection, best=left, rivals=selection.rivals_beside(left))

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal, summary
@@ -26,6 +27,7 @@ from flexjoint.diagnosis.search.selection import Search, Selection, exchange, pr
 from flexjoint.diagnosis.search.trials import added_to
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict import cases as stages
+from flexjoint.diagnosis.verdict import edits
 from flexjoint.diagnosis.verdict.checks import Check, Objection
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
 from flexjoint.diagnosis.verdict.instead import given_up_for, without
@@ -117,18 +119,22 @@ class NoDahl(Check[stages.Case]):
         return tuple(Objection(e, 1.0, "it is not wanted") for e in found)
 
 
-@pytest.mark.parametrize("level", [LEVEL, 1.5 * LEVEL])
-def test_what_made_room_for_a_law_goes_with_it_unless_it_is_off_by_itself(level: float) -> None:
+@pytest.mark.parametrize("certain", [1.7, 9.0])
+def test_what_made_room_for_a_law_goes_with_it_unless_it_is_off_by_itself(
+    certain: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A check takes out the law; how many standard errors the claim is off by then is given."""
+    level = 1.5 * LEVEL
     case, really = Case("lever", "rich", 93), Planted("motor_coulomb_friction", "swing", {"level": level})
     problem = Problem(balances_of(claiming(), as_recording(case.with_causes(really), case.name)))
     gone = replace(COULOMB, values={"level": 0.0}, nominal=False)
     law = effect("dahl_friction", "swing", level=level, scale=1e-3)
     nothing = at_own_level(fit(problem, []))
     best = at_own_level(fit(nothing.problem, [gone, law]))
-    case_of = stages.Case(Selection(best, nothing, (), (), ((), ())), ())
-    left = reviewed(case_of, (NoDahl(),))
+    monkeypatch.setattr(edits, "known_sizes", lambda *_: (np.array([certain]), np.array([4.0])))
+    left = reviewed(stages.Case(Selection(best, nothing, (), (), ((), ())), ()), (NoDahl(),))
     told = [(step.effect, step.check) for step in left.trace]
-    if level == LEVEL:
+    if certain < 4.0:
         assert not left.selection.best.effects
         assert told == [("dahl_friction", "no Dahl"), ("motor_coulomb_friction", "makes room")]
     else:
