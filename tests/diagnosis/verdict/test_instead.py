@@ -124,7 +124,7 @@ def test_what_made_room_for_a_law_goes_with_it_unless_it_is_off_by_itself(
     certain: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A check takes out the law; how many standard errors the claim is off by then is given."""
-    level = 1.5 * LEVEL
+    level = 0.5 * LEVEL
     case, really = Case("lever", "rich", 93), Planted("motor_coulomb_friction", "swing", {"level": level})
     problem = Problem(balances_of(claiming(), as_recording(case.with_causes(really), case.name)))
     gone = replace(COULOMB, values={"level": 0.0}, nominal=False)
