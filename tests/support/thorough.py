@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 thorough = pytest.mark.thorough
-EXHAUSTIVE = (thorough, pytest.mark.exhaustive)  # marks of a case
+EXHAUSTIVE = [thorough, pytest.mark.exhaustive]  # marks of a case, or of a file
 
 
 def exhaustive(test: Any) -> Any:

@@ -133,7 +133,12 @@ def test_the_installed_demo_leaves_its_report(demo: tuple[Path, str]) -> None:
 def test_the_installed_demo_names_causes_and_measures_what_they_gain(demo: tuple[Path, str]) -> None:
     folder, printed = demo
     said = json.loads((folder / "diagnosis.json").read_text())
-    assert said["verdict"] in ("causes", "unexplained") and said["findings"]
+    assert said["verdict"] == "causes"
+    named = {(found["effect"], found["joint"]) for found in said["findings"]}
+    assert named >= {
+        ("sensor_delay", None), ("breakaway_friction", "joint_2"), ("motor_coulomb_friction", "joint_2"),
+        ("breakaway_friction", "joint_3"),
+    }  # fmt: skip
     gain = json.loads((folder / "gain.json").read_text())["recordings"]
     assert set(gain) == {"rec_B", "rec_C"}
     for recorded in gain.values():

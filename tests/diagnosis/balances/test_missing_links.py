@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import interp1d
 from support.diagnose_cases import Case, as_recording, nominal
 from support.robots.arms import SPATIAL, make
-from support.thorough import thorough
+from support.thorough import exhaustive, thorough
 
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, TwinBalances, balances_of
 from flexjoint.diagnosis.balances.links.movement import Numbers, torque
@@ -47,7 +47,7 @@ def nominal_numbers(balances: TwinBalances) -> Numbers:
     return Numbers(tuple(joint.drive for joint in balances.motion.robot.joints))
 
 
-@thorough
+@exhaustive
 def test_a_torque_on_the_links_moves_them_by_their_linear_equations(balances: TwinBalances) -> None:
     """Against a tight solution of M dq'' + (C + D) dq' + (G + K) dq = torque, another integrator's."""
     motion, links = balances.motion, balances.missing_links

@@ -11,7 +11,7 @@ from planting import Planted, plant, robot_file
 from planting.machine.sensing import SensorSet
 from scipy.signal import lfilter
 from support.diagnose_cases import as_recording, summary
-from support.thorough import thorough
+from support.thorough import exhaustive, thorough
 
 from flexjoint.diagnosis.data.check import check_data
 from flexjoint.diagnosis.data.torques.lag import advanced, torque_lag
@@ -122,7 +122,7 @@ def test_readings_are_advanced_by_their_lag() -> None:
     assert errors[1] < 0.25 * errors[0]
 
 
-@thorough
+@exhaustive
 def test_filtered_torques_do_not_end_in_wrong_names() -> None:
     """Without this the diagnosis named two periodic disturbances and an eccentric encoder."""
     recording = filtered(recorded(), 0.01)

@@ -12,7 +12,7 @@ import pytest
 from planting import Planted, plant
 from support.cli_runs import complaint, run
 from support.diagnose_cases import ROBOTS, SENSORS, as_recording, findings_of, nominal
-from support.thorough import thorough
+from support.thorough import exhaustive, thorough
 
 from flexjoint.core.errors import FlexJointError, RecordingError
 from flexjoint.diagnosis.balances.balances import balances_of
@@ -105,7 +105,7 @@ def test_of_a_fast_recording_a_part_is_looked_at_and_said() -> None:
     assert any("too large for a check" in note for note in found.notes) and "Looked at" in str(found)
 
 
-@thorough
+@exhaustive
 def test_what_diagnose_says_is_as_before_on_its_own_machine() -> None:
     """The whole way: search, refinement on the simulation, JSON, check."""
     found = diagnose(nominal("lever"), recorded(1, FRICTION, GAP))
