@@ -10,7 +10,7 @@ import pytest
 from planting import FULL, NO_COMMAND, ROBOTS, Planted, plant, robot_file
 from study.cases import COUNTS, make
 from support.diagnose_cases import Case, as_recording, found_in, nominal, summary
-from support.thorough import thorough
+from support.thorough import exhaustive, thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.deviations import deviation_effects, judged_energy
@@ -269,7 +269,7 @@ def test_what_cannot_matter_is_not_fitted() -> None:
         assert might_matter(nothing, scored) is matters
 
 
-@thorough
+@exhaustive
 def test_a_law_that_swaps_in_must_stay_better_at_its_own_level() -> None:
     """Beside a hysteresis, Coulomb friction must not give way to a Stribeck bump that shrinks once it is
     judged by what it leaves."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
-from support.thorough import thorough
+from support.thorough import exhaustive, thorough
 
 import flexjoint as fj
 from flexjoint.core.errors import FlexJointError, RecordingError, UnknownNameError
@@ -73,7 +73,7 @@ def test_a_law_of_no_catalogue_is_learned(planted: str, effect: str, signal: str
     assert after < before / less
 
 
-@thorough
+@exhaustive
 def test_a_law_of_two_signals_is_learned_where_none_of_one_holds() -> None:
     """The motor's torque constant changes with its angle: a product of the command and a law of theta."""
     robot, recording, found, more = learned(RIPPLE)
