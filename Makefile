@@ -32,7 +32,7 @@ demo: .venv/.demo
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test: lint
-	$(PYTEST) -m "not thorough"
+	$(PYTEST) -m "not thorough and not exhaustive"
 
 test-ci: lint
 	$(PYTEST) -m "not exhaustive"
@@ -49,7 +49,7 @@ lowest: | $(BIN)/python
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
 	    --editable '.[$(LOWEST_EXTRAS)]'
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python pytest hypothesis jsonschema
-	$(LOWEST)/bin/python -m pytest -m "not thorough" tests/effects tests/model tests/simulation tests/recording
+	$(LOWEST)/bin/python -m pytest -m "not thorough and not exhaustive" tests/effects tests/model tests/simulation tests/recording
 
 # in an environment of its own, so that only what flexjoint needs is asked for
 AUDIT := build/audit

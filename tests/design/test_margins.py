@@ -53,7 +53,10 @@ def test_a_textbook_loop(gain: float) -> None:
     assert found.delay == pytest.approx(math.radians(phase) / w, rel=1e-6)
 
 
-@pytest.mark.skipif(not hasattr(control, "disk_margins"), reason="python-control 0.10.2 and newer")
+@pytest.mark.skipif(
+    not hasattr(control, "disk_margins"),
+    reason="disk_margins, the reference here, came with python-control 0.10.2",
+)
 def test_disk_margins_of_one_loop() -> None:
     model = plant(THIRD)
     omega = np.geomspace(1e-2, 1e2, 20001)

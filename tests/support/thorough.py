@@ -11,13 +11,7 @@ from typing import Any
 
 import pytest
 
-thorough = pytest.mark.thorough
-EXHAUSTIVE = [thorough, pytest.mark.exhaustive]  # marks of a case, or of a file
-
-
-def exhaustive(test: Any) -> Any:
-    """The test marked as one of the longest."""
-    return thorough(pytest.mark.exhaustive(test))
+thorough, exhaustive = pytest.mark.thorough, pytest.mark.exhaustive
 
 
 def sample(cases: Iterable[Any], one_in: int, several: bool = False, thorough_in: int = 1) -> list[Any]:
@@ -29,6 +23,6 @@ def sample(cases: Iterable[Any], one_in: int, several: bool = False, thorough_in
     marked = []
     for number, case in enumerate(cases):
         values = tuple(case) if several else (case,)
-        marks: Any = () if number % one_in == 0 else thorough if number % thorough_in == 0 else EXHAUSTIVE
+        marks: Any = () if number % one_in == 0 else thorough if number % thorough_in == 0 else exhaustive
         marked.append(pytest.param(*values, marks=marks))
     return marked

@@ -119,8 +119,7 @@ class Problem(Recorded):
         """What effects change of the nominal numbers' columns. It is large and seldom needed again, so that
         it is not stored with each of many fits, but computed again where it is no longer remembered."""
         effects = self._entangled
-        key = tuple(e.identity for e in effects)
-        return self._moves.get(key, lambda: self._moves_by(effects), REMEMBERED)
+        return self._moves.get(_entangling(effects), lambda: self._moves_by(effects), REMEMBERED)
 
     def _grams_of_rows(self, used: np.ndarray) -> np.ndarray:
         """(rows, k, k) products of the nominal numbers' plain columns over each balance's used samples."""
@@ -176,7 +175,7 @@ class Problem(Recorded):
         nominal model's, at work (`nuisance.entangles`)."""
         entangled = self._columns.entangled(self.with_nominal(effects))
         here = tuple(e for own in entangled.values() for e in own)
-        if [e.identity for e in here] == [e.identity for e in self._entangled]:
+        if _entangling(here) == _entangling(self._entangled):
             return self
         return self._changed(_entangled=here)
 
@@ -442,6 +441,12 @@ class Problem(Recorded):
     def inertial_band(self, i: int, change: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (10,) of the inertial parameters of joint i's link."""
         return self._columns.load_band(self.balances.denoised.inertial_torque(i, change))
+
+
+def _entangling(effects: Sequence[Planned]) -> tuple[object, ...]:
+    """What the nominal numbers' columns depend on of effects: the place of a claim may be taken by an effect
+    with the same numbers."""
+    return tuple((e.identity, e.nominal) for e in effects)
 
 
 def _add(spectra: dict[int, np.ndarray], more: dict[int, np.ndarray], sign: float = 1.0) -> None:

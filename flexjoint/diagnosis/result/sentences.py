@@ -177,14 +177,11 @@ def found_by(diagnosis: Result) -> str:
     return sentence(f"Numbers are those of the torque balances{why}")
 
 
-def _in_one_place(diagnosis: Result, one: str, other: str) -> bool:
+def _in_one_place(diagnosis: Result, *numbers: str) -> bool:
     """Whether two numbers are those of a law and of the claim in whose place it is."""
-    for finding in diagnosis.findings:
-        if finding.instead_of is not None:
-            parts = tuple(f"{f.effect}.{f.joint}." for f in (finding, finding.instead_of))
-            if {p for p in parts for name in (one, other) if name.startswith(p)} == set(parts):
-                return True
-    return False
+    whose = {name.rpartition(".")[0] for name in numbers}
+    pairs = ((f, f.instead_of) for f in diagnosis.findings if f.instead_of is not None)
+    return any({f"{f.effect}.{f.joint}" for f in pair} == whose for pair in pairs)
 
 
 def _parameter(name: str) -> str:

@@ -7,14 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 from support.diagnose_cases import summary
-from support.thorough import EXHAUSTIVE
+from support.thorough import exhaustive
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis, Fitted
 from flexjoint.recording import table as recording
 from flexjoint.robot.robot import load, robots_folder
 
-pytestmark = EXHAUSTIVE  # the demo of tests/acceptance/project/test_package.py diagnoses recording A
+pytestmark = exhaustive  # the demo of tests/acceptance/project/test_package.py diagnoses recording A
 
 NAMED = {
     ("sensor_delay", None),  # the link encoders of joints 1 to 3

@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 from planting import BEYOND, CATALOGUE, Planted
 from support.diagnose_cases import Case, as_recording, found_in, nominal, summary
-from support.thorough import EXHAUSTIVE, sample, thorough
+from support.thorough import exhaustive, sample, thorough
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis, to_json
@@ -257,9 +257,9 @@ def test_a_cause_is_named_beside_numbers_that_are_off() -> None:
 @pytest.mark.parametrize(
     ("planted", "excluded"),
     [
-        pytest.param("backlash", {"backlash"}, marks=EXHAUSTIVE),
+        pytest.param("backlash", {"backlash"}, marks=exhaustive),
         # the second contains the first
-        pytest.param("load_friction", {"load_friction", "drive_efficiency"}, marks=EXHAUSTIVE),
+        pytest.param("load_friction", {"load_friction", "drive_efficiency"}, marks=exhaustive),
         pytest.param("hardening_spring", {"hardening_spring"}, marks=thorough),
         pytest.param("payload", {"payload"}, marks=thorough),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal, summary
-from support.thorough import EXHAUSTIVE, thorough
+from support.thorough import exhaustive, thorough
 
 from flexjoint.core.errors import RecordingError
 from flexjoint.diagnosis.pipeline import diagnose
@@ -43,7 +43,7 @@ def test_two_recordings_know_a_cause_better_than_one() -> None:
     ("name", "number", "values"),
     [
         ("motor_encoder_offset", "offset", (0.01, 0.02)),
-        pytest.param("spring_stiffness", "scale", (-0.12, -0.3), marks=EXHAUSTIVE),
+        pytest.param("spring_stiffness", "scale", (-0.12, -0.3), marks=exhaustive),
     ],
 )
 def test_recordings_that_disagree_say_so(name: str, number: str, values: tuple[float, float]) -> None:

@@ -13,7 +13,7 @@ from study.cases import COUNTS, FRESH_KINDS, FRESH_ROBOTS, FRESH_SEEDS, TRIALS, 
 from study.page import markdown
 from study.run import diagnosed, ranges
 from study.summary import Rate
-from support.thorough import EXHAUSTIVE, thorough
+from support.thorough import exhaustive, thorough
 
 LAST = COUNTS["fresh"]
 
@@ -138,7 +138,7 @@ def test_the_page_says_that_no_rule_comes_from_it() -> None:
     [
         LAST + 3,
         *(pytest.param(LAST + k, marks=thorough) for k in (7, 9)),
-        *(pytest.param(LAST + k, marks=EXHAUSTIVE) for k in (1, 2)),
+        *(pytest.param(LAST + k, marks=exhaustive) for k in (1, 2)),
     ],
 )
 def test_a_trial_is_diagnosed(number: int) -> None:

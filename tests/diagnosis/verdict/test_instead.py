@@ -108,6 +108,15 @@ def test_what_makes_room_stays_as_long_as_the_law_does() -> None:
     assert not any(one.effect.key == gone.key for one in UncertainSize().objections(case_of))
 
 
+def test_a_claim_and_an_effect_of_its_numbers_are_two_things() -> None:
+    """Whose place is taken is no longer a number that may be off."""
+    recording = as_recording(Case("lever", "rich", 94).with_causes(), "healthy")
+    problem = Problem(balances_of(claiming(), recording)).about([])
+    (k,) = (k for k, number in enumerate(problem.nuisance) if number.of)
+    assert np.any(problem.J[k])
+    assert not np.any(problem.about([replace(COULOMB, nominal=False)]).J[k])
+
+
 class NoDahl(Check[stages.Case]):
     name, stage, reason = "no Dahl", "balances", "It is not wanted."
 

@@ -227,7 +227,7 @@ def test_a_rollout_that_diverges_leaves_the_others_alone() -> None:
 X86 = "__x86_64__" in compiler.compilers()[0].identity if compiler.compilers() else False
 
 
-@pytest.mark.skipif(not X86, reason="lanes of other processors are always 2")
+@pytest.mark.skipif(not X86, reason="no compiler for x86-64: lanes of other processors are always 2")
 def test_lanes_are_what_the_processor_has_and_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Built for an older processor there are fewer, with the same bits; no library serves for another one."""
     model = FlexibleJointModel(make(PLANAR), [effect("backlash", "knee")])
