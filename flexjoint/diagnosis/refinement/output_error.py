@@ -16,6 +16,7 @@ from flexjoint.core.errors import SimulationError
 from flexjoint.core.running.budget import checkpoint
 from flexjoint.diagnosis.refinement.shooting import Reduced, Shooting
 from flexjoint.diagnosis.regression.fit import Fit, weak_prior
+from flexjoint.diagnosis.regression.uncertainty import beside_bounds
 from flexjoint.effects import Planned
 
 MOST_PASSES = 8
@@ -110,10 +111,11 @@ class Refinement:
         self.level = self._level(point)
         left, used = self._next(point)[1], self._used(point)
         spread, grown = self._covariance(point, used)
+        bounds = np.where(point.slots <= self.low, -1, np.where(point.slots >= self.high, 1, 0))
+        spread = beside_bounds(spread, bounds != 0)
         size = np.where(np.isinf(self.high), 0.0, np.abs(point.slots))  # angles have no size
         method = limits.method_error * size
         spread = spread + np.diag(self._step_error(point, used) ** 2 + method**2)
-        bounds = np.where(point.slots <= self.low, -1, np.where(point.slots >= self.high, 1, 0))
         gain, chance = self._held_out(point)
         chance *= float(np.max(grown)) ** 2
         outlying = 1.0 - float(np.mean(used))

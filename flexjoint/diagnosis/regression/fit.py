@@ -26,6 +26,7 @@ from flexjoint.effects import Parameter, Planned, Site
 MOST_DAMPING = 1e8  # of a scaled step: with more damping no step lowers the energy
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
 CONVERGED = 0.02  # gain in energy below which an iteration ends the fit: far below any price
+TRIED = 1e-3  # and, of a set that is only tried, as a share of the unexplained energy: far below what decides
 LEAST_VARIANCE = 1e-200  # of a number: what is less is rounding
 NOTHING = 1e-3  # of that gain: a step that promises less is none
 NEARLY_SAME = 0.5  # of the gain that a step promised in vain: one that promises more is nearly the same step
@@ -112,7 +113,8 @@ def fit(
     """Fit all numbers but those of the effects that are `held`, starting from the given values; bounds are
     kept by clipping. Where an effect is `tried` that acts within its joint, those within other joints are
     held, too, and what acts on several joints (a load) moves along its derivatives first: one joint's
-    balances are then evaluated for a step, and those of all joints for the last ones."""
+    balances are then evaluated for a step, and those of all joints for the last ones. A set that is only
+    tried need not be nearer to its minimum than sets of other causes are to each other."""
     problem, slots = problem.about(effects), slots_of(effects)
     if not slots:
         y = problem.residual(effects)
@@ -127,14 +129,15 @@ def fit(
         for some in (fixed, near)
     )
     point = _Point(list(effects), jacobian_of(problem, effects, slots), [list(effects)] * len(effects))
+    least = 0.0 if tried is None else TRIED
     if np.any(free & linear):
-        point = _descend(problem, point, slots, free, iterations, linear=free & linear)
-    point = _descend(problem, point, slots, free, iterations)
+        point = _descend(problem, point, slots, free, iterations, least, linear=free & linear)
+    point = _descend(problem, point, slots, free, iterations, least)
     bent: np.ndarray | float = 0.0
     if any(entangles(e) for e in effects):  # the columns of nominal numbers depend on the fitted values
         problem = problem.about(point.effects)
         bent = _bent(problem, point.effects, problem.residual(point.effects))
-        point = _descend(problem, point, slots, free, iterations, bent)
+        point = _descend(problem, point, slots, free, iterations, least, bent)
     current, y = point.effects, problem.residual(point.effects) + bent
     # of numbers that are held derivatives are wanted in the end only
     jacobian = _followed(problem, current, slots, point, np.ones(len(slots), dtype=bool)).jacobian
@@ -191,12 +194,13 @@ def _descend(
     slots: Sequence[Slot],
     free: np.ndarray,
     iterations: int,
+    least: float = 0.0,
     bent: np.ndarray | float = 0.0,
     linear: np.ndarray | None = None,
 ) -> _Point:
-    """The nearest minimum of the energy in the slots that are free; `bent` (`_bent`) is added to all
-    residuals. By numbers that are `linear` (bool) residuals change along the derivatives that they have at
-    the start."""
+    """The nearest minimum of the energy in the slots that are free, up to a share `least` of the unexplained
+    energy; `bent` (`_bent`) is added to all residuals. By numbers that are `linear` (bool) residuals change
+    along the derivatives that they have at the start."""
     start, along = point.effects, point.jacobian
     linear = np.zeros(len(slots), dtype=bool) if linear is None else linear
     kept = {slot.effect for slot, follows in zip(slots, linear, strict=True) if follows}
@@ -216,7 +220,8 @@ def _descend(
     for _ in range(iterations if moving else 0):
         checkpoint()
         normal, slope = normal_equations(problem, point.jacobian[free], y, moving, current)
-        enough, better, failed = CONVERGED + 1e-6 * energy, False, np.inf
+        enough = CONVERGED + 1e-6 * energy + least * max(0.0, energy - problem.noise_energy)
+        better, failed = False, np.inf
         while not better and damping < MOST_DAMPING:
             trial, promised = _step(current, moving, normal, slope, damping)
             if promised is not None:

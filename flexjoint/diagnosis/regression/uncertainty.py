@@ -13,10 +13,38 @@ Errors = dict[str, list[float]]  # standard errors of the components of each par
 
 
 def number_covariance(best: Fit) -> np.ndarray:
-    """(slots, slots) covariance of a fit's numbers, with scores of blocks of time."""
+    """(slots, slots) covariance of a fit's numbers, with scores of blocks of time; of those that are at no
+    bound of what they may be, beside those that are (`beside_bounds`)."""
     rows, time = len(best.problem.balances.rows), best.problem.time
     blocks = np.tile(((time - time[0]) / best.settings.regression.time_block).astype(int), rows)
-    return covariance(best, blocks)
+    inside = [slot.param.low < slot.get(best.effects) < slot.param.high for slot in best.slots]
+    return beside_bounds(covariance(best, blocks), ~np.array(inside, bool))
+
+
+def beside_bounds(spread: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The covariance of numbers of which some are `at` (k,) a bound: the constraint holds those there, and
+    the others do not move with them. Each one at a bound has the variance that it would have if it alone
+    could leave. Two laws of one friction, one of them at zero, would otherwise both be uncertain by all of
+    it (Nocedal and Wright, Numerical Optimization, 2006, ch. 16: the active set)."""
+    if not np.any(at):
+        return spread
+    out = np.zeros_like(spread)
+    free = np.flatnonzero(~at)
+    out[np.ix_(free, free)] = _conditional(spread, free, np.flatnonzero(at))
+    for k in np.flatnonzero(at):
+        others = np.array([j for j in np.flatnonzero(at) if j != k], int)
+        out[k, k] = _conditional(spread, np.array([k]), others)[0, 0]
+    return out
+
+
+def _conditional(spread: np.ndarray, asked: np.ndarray, given: np.ndarray) -> np.ndarray:
+    """The covariance of some numbers where others are given (normal distributions)."""
+    size = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    scaled = spread / np.outer(size, size)
+    across = scaled[np.ix_(asked, given)]
+    known = across @ np.linalg.pinv(scaled[np.ix_(given, given)], rcond=1e-12, hermitian=True) @ across.T
+    left = scaled[np.ix_(asked, asked)] - known
+    return np.asarray(left * np.outer(size[asked], size[asked]))
 
 
 def standard_errors(best: Fit) -> list[Errors]:

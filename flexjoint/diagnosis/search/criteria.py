@@ -151,13 +151,18 @@ def known_sizes(result: Fit, least: float) -> tuple[np.ndarray, np.ndarray]:
 
 def given_up_for(cause: Planned, effects: Sequence[Planned], nominal: Sequence[Planned]) -> Planned | None:
     """The effect among some that makes room for a cause: a special case of its law (`Effect.contains`) on its
-    joint, of which there is less than the nominal model claims. None where there is none."""
+    joint, of which there is less than the nominal model claims. Of several laws the largest one takes that
+    room: beside a presliding friction, Stribeck's has no level of its own. None where there is none."""
     claims = {e.key: e for e in nominal}
     for e in effects:
         claim = claims.get(e.key)
         if claim is None or e.joint != cause.joint or e.effect.name not in cause.effect.contains:
             continue
-        if all(abs(e.values[p.name]) < abs(claim.values[p.name]) for p in e.effect.nulls):
+        if any(abs(e.values[p.name]) >= abs(claim.values[p.name]) for p in e.effect.nulls):
+            continue
+        laws = [law for law in effects if law.joint == e.joint and e.effect.name in law.effect.contains]
+        size = e.effect.nulls[0].name
+        if cause.key == max(laws, key=lambda law: abs(law.values.get(size, 0.0)), default=cause).key:
             return e
     return None
 
@@ -269,10 +274,9 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
             alone = fit(trial.problem, others, tried=added)
             if gained < error * (alone.energy - trial.energy):
                 return False
-    if contradicted(trial, without):
+    if contradicted(trial, without) or gained < paid * _chance(trial, gained, added):
         return False
-    seen = shown_by_motion(trial, gained, added) and material(trial, added, gained)
-    return seen and gained >= paid * _chance(trial, gained, added)
+    return shown_by_motion(trial, gained, added) and material(trial, added, gained)
 
 
 def _left_beside(trial: Fit, added: Planned) -> float:
@@ -501,10 +505,10 @@ def material(trial: Fit, added: Planned, gained: float) -> bool:
     if np.max(shares) >= tolerance or np.max(shares) < limits.negligible * tolerance or uncertain:
         return bool(np.max(shares) >= tolerance)
     touched = changed_balances(trial.problem, trial.effects, place)
-    left = at_own_level(trial).problem.level.inflation[touched]
+    left = at_own_level(trial, added).problem.level.inflation[touched]
     if np.all(left < trial.settings.regression.noise_decides):
         return True
-    before = at_own_level(refit_without(trial, added)).problem.level.inflation[touched]
+    before = at_own_level(refit_without(trial, added), added).problem.level.inflation[touched]
     wrong = before > limits.wrong
     return bool(np.any(wrong) and np.mean(np.log(before[wrong] / left[wrong])) >= np.log(limits.cleared))
 

@@ -153,17 +153,14 @@ class Scanner:
                     best[place][k] = scored
 
     def _traced(self, k: int, against: Sequence[_Against], processes: int) -> Iterator[_Traced]:
-        """The traces of candidate k, one per start, for each of some fits."""
-        candidate = self.candidates[k]
-        # a trace depends on the effects of its own joint only (a body's is fitted to the residual)
-        alike: dict[object, list[int]] = {}
-        for place, one in enumerate(against):
-            own = tuple(e.identity for e in one.around(candidate))
-            shared = not candidate.effect.overrides("edit_inertial")
-            alike.setdefault(own if shared else place, []).append(place)
-        for places in alike.values():
-            for kept, columns in self._kept(candidate, against[places[0]], processes):
-                yield _Traced(k, kept, columns, tuple(places))
+        """The traces of candidate k, one per start, for each of some fits of one set. To first order a trace
+        is the same beside other numbers of the set: those of the last fit are taken; only a body's, which is
+        fitted to the residual, is made for each."""
+        candidate, every = self.candidates[k], range(len(against))
+        apart = candidate.effect.overrides("edit_inertial")
+        for places in [(place,) for place in every] if apart else [tuple(every)]:
+            for kept, columns in self._kept(candidate, against[places[-1]], processes):
+                yield _Traced(k, kept, columns, places)
 
     def _kept(
         self, candidate: Candidate, against: _Against, processes: int

@@ -83,6 +83,11 @@ def test_what_makes_room_for_what() -> None:
     for one in (dahl, less):
         assert without(one, [dahl, less, elsewhere], [COULOMB]) == [elsewhere]
     assert without(more, [dahl, more], [COULOMB]) == [dahl]
+    stribeck = effect("stribeck_friction", "swing", level=0.0, static_extra=1.0, velocity=0.1)
+    both = [dahl, less, stribeck]
+    assert without(dahl, both, [COULOMB]) == [stribeck]  # which has no such friction of its own
+    assert without(stribeck, both, [COULOMB]) == [dahl, less]
+    assert without(less, both, [COULOMB]) == [stribeck]
 
 
 def test_what_makes_room_stays_as_long_as_the_law_does() -> None:
