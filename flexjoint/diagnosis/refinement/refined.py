@@ -13,7 +13,7 @@ from flexjoint.diagnosis.refinement.open_model import OpenModel, slot_label
 from flexjoint.diagnosis.refinement.output_error import Estimate, Refinement
 from flexjoint.diagnosis.refinement.shooting import Shooting
 from flexjoint.diagnosis.regression.fit import LEAST_VARIANCE, Fit
-from flexjoint.diagnosis.regression.uncertainty import number_covariance
+from flexjoint.diagnosis.regression.uncertainty import bounds_reached, number_covariance
 from flexjoint.diagnosis.result import Estimation, Finding
 from flexjoint.diagnosis.settings import Settings
 from flexjoint.effects import Planned
@@ -52,10 +52,7 @@ def _refined(best: Fit, found: Sequence[Finding], workers: int) -> tuple[tuple[F
 
 def from_balances(best: Fit, why: str) -> Estimation:
     """The estimation of numbers that are left as the balances gave them."""
-    numbers = np.array([slot.get(best.effects) for slot in best.slots])
-    low, high = (np.array([getattr(slot.param, side) for slot in best.slots]) for side in ("low", "high"))
-    bounds = np.where(numbers <= low, -1, np.where(numbers >= high, 1, 0))
-    return _estimation(best, number_covariance(best), bounds, why=why)
+    return _estimation(best, number_covariance(best), bounds_reached(best), why=why)
 
 
 def _known_better(best: Fit, estimate: Estimate) -> str:

@@ -17,8 +17,14 @@ def number_covariance(best: Fit) -> np.ndarray:
     bound of what they may be, beside those that are (`beside_bounds`)."""
     rows, time = len(best.problem.balances.rows), best.problem.time
     blocks = np.tile(((time - time[0]) / best.settings.regression.time_block).astype(int), rows)
-    inside = [slot.param.low < slot.get(best.effects) < slot.param.high for slot in best.slots]
-    return beside_bounds(covariance(best, blocks), ~np.array(inside, bool))
+    return beside_bounds(covariance(best, blocks), bounds_reached(best) != 0)
+
+
+def bounds_reached(best: Fit) -> np.ndarray:
+    """(slots,) -1 where a fit's number is at its lower bound, 1 at its upper one, 0 between."""
+    numbers = np.array([slot.get(best.effects) for slot in best.slots])
+    low, high = (np.array([getattr(slot.param, side) for slot in best.slots]) for side in ("low", "high"))
+    return np.where(numbers <= low, -1, np.where(numbers >= high, 1, 0))
 
 
 def beside_bounds(spread: np.ndarray, at: np.ndarray) -> np.ndarray:
