@@ -645,6 +645,12 @@ class SearchSettings(Stage):
     promising: float = number(
         0.3, "share of the best gain", "that they must show to first order", "judgement"
     )
+    paired: int = number(
+        3,
+        "candidates",
+        "of a joint beside each of which a further one is looked for, where none alone explains it",
+        "judgement: of look-alikes (a lag, a delay) two are often among the best",
+    )
     alternatives: int = number(
         12,
         "candidates",

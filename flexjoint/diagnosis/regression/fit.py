@@ -108,28 +108,28 @@ def fit(
     effects: Sequence[Planned],
     iterations: int = 12,
     held: Collection[Planned] = (),
-    tried: Planned | None = None,
+    changed: Planned | None = None,
+    least: float = 0.0,
 ) -> Fit:
-    """Fit all numbers but those of the effects that are `held`, starting from the given values; bounds are
-    kept by clipping. Where an effect is `tried` that acts within its joint, those within other joints are
-    held, too, and what acts on several joints (a load) moves along its derivatives first: one joint's
-    balances are then evaluated for a step, and those of all joints for the last ones. A set that is only
-    tried need not be nearer to its minimum than sets of other causes are to each other."""
+    """Fit all numbers but those of the effects that are `held`, starting from the given values, up to a share
+    `least` of the unexplained energy; bounds are kept by clipping. Where the set differs from one that was
+    fitted by a `changed` effect that acts within its joint, effects within other joints are held, too, and
+    what acts on several joints (a load) moves along its derivatives first: one joint's balances are then
+    evaluated for a step, and those of all joints for the last ones."""
     problem, slots = problem.about(effects), slots_of(effects)
     if not slots:
         y = problem.residual(effects)
         judge = partial(_judged, problem, y, tuple(effects), slots)
         return Fit(problem, tuple(effects), judge, y, np.zeros((0, y.size)), slots)
     fixed, near = list(held), list(effects)
-    if tried is not None and acts_within_a_joint(tried):
-        fixed += held_beside(effects, tried)
-        near = [e for e in problem.balances.beside(effects, tried) if e.effect.site is not Site.BODY]
+    if changed is not None and acts_within_a_joint(changed):
+        fixed += held_beside(effects, changed)
+        near = [e for e in problem.balances.beside(effects, changed) if e.effect.site is not Site.BODY]
     free, linear = (
         np.array([not any(effects[slot.effect] is e for e in some) for slot in slots], dtype=bool)
         for some in (fixed, near)
     )
     point = _Point(list(effects), jacobian_of(problem, effects, slots), [list(effects)] * len(effects))
-    least = 0.0 if tried is None else TRIED
     if np.any(free & linear):
         point = _descend(problem, point, slots, free, iterations, least, linear=free & linear)
     point = _descend(problem, point, slots, free, iterations, least)
@@ -145,18 +145,24 @@ def fit(
     return Fit(problem, tuple(_wrap(current)), judge, y, jacobian, slots)
 
 
-def held_beside(effects: Sequence[Planned], tried: Planned) -> list[Planned]:
-    """The effects that need not be fitted again when another one is tried: where that acts within its joint,
-    those within other joints, which share no balance with it."""
-    if not acts_within_a_joint(tried):
+def fit_tried(problem: Problem, effects: Sequence[Planned], changed: Planned) -> Fit:
+    """A set that is only tried (`fit`): it need not be nearer to its minimum than sets of other causes are to
+    each other."""
+    return fit(problem, effects, changed=changed, least=TRIED)
+
+
+def held_beside(effects: Sequence[Planned], changed: Planned) -> list[Planned]:
+    """The effects that need not be fitted again when another one is changed: where that acts within its
+    joint, those within other joints, which share no balance with it."""
+    if not acts_within_a_joint(changed):
         return []
-    return [e for e in effects if e.joint != tried.joint and acts_within_a_joint(e)]
+    return [e for e in effects if e.joint != changed.joint and acts_within_a_joint(e)]
 
 
 def refit_without(result: Fit, effect: Planned) -> Fit:
     """The set without one of its effects, the others fitted again at the same noise level."""
     others = [e for e in result.effects if e is not effect]
-    return fit(result.problem, others, tried=effect)
+    return fit(result.problem, others, changed=effect)
 
 
 def _bent(problem: Problem, effects: Sequence[Planned], y: np.ndarray) -> np.ndarray | float:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from flexjoint.diagnosis.regression.deviations import judged_energy
-from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without, shifts
+from flexjoint.diagnosis.regression.fit import Fit, fit, fit_tried, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS, NominalNumber
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.regression.uncertainty import certainty, standard_errors
@@ -89,7 +89,8 @@ def at_own_level(result: Fit, tried: Planned | None = None) -> Fit:
     for _ in range(LEVEL_ROUNDS):
         last = result.problem
         problem = last.at(last.plausible_level(result.y))
-        result = fit(problem, result.effects, tried=tried)
+        effects = result.effects
+        result = fit(problem, effects) if tried is None else fit_tried(problem, effects, tried)
         if same_level(problem.level, last.level):
             break
     return result
@@ -271,7 +272,7 @@ def _supported(trial: Fit, without: Fit, added: Planned) -> bool:
         # fitted, the set without them leaves no more than with the numbers that it has
         most = judged_energy(trial.problem, trial.problem.residual(others), others)
         if gained < error * (most - trial.energy):
-            alone = fit(trial.problem, others, tried=added)
+            alone = fit_tried(trial.problem, others, added)
             if gained < error * (alone.energy - trial.energy):
                 return False
     if contradicted(trial, without) or gained < paid * _chance(trial, gained, added):

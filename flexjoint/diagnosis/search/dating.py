@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.fit import Fit, fit_tried
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.criteria import score
 from flexjoint.diagnosis.search.scan import onset_margin
@@ -24,7 +24,7 @@ def date_onset(result: Fit) -> Fit:
     if added.since is None:
         return result
     problem, limits = result.problem, result.settings.search
-    always = fit(problem, [*result.effects[:-1], replace(added, since=None, switches=())], tried=added)
+    always = fit_tried(problem, [*result.effects[:-1], replace(added, since=None, switches=())], added)
     result = _dated_finely(result)
     end, since = float(problem.balances.chains.t[-1]), float(result.effects[-1].since or 0.0)
     margin = onset_margin(end, limits)
@@ -43,7 +43,7 @@ def _dated_finely(result: Fit) -> Fit:
         for place in range(1 + len(moved.switches)):
             moved = _moved(problem, others, moved, place, steps)
         if moved.identity != result.effects[-1].identity:
-            trial = fit(problem, [*others, moved], tried=moved)
+            trial = fit_tried(problem, [*others, moved], moved)
             if trial.energy < result.energy:
                 result = trial
     return result
@@ -94,7 +94,7 @@ def switched(result: Fit, finely: bool = True) -> Fit:
         moved = _with_switches(best)
         if not moved.switches or moved.identity == best.effects[-1].identity:
             break
-        trial = fit(problem, [*others, moved], tried=added)
+        trial = fit_tried(problem, [*others, moved], added)
         more = len(moved.changes) - len(best.effects[-1].changes)
         if _lowered(best, _squares(trial)) <= limits.price_number * more:
             break

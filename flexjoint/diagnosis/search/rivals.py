@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import overload
 
-from flexjoint.diagnosis.regression.fit import Fit, fit, held_beside, refit_without
+from flexjoint.diagnosis.regression.fit import Fit, fit_tried, held_beside, refit_without
 from flexjoint.diagnosis.search.criteria import score
 from flexjoint.effects import Planned
 
@@ -82,4 +82,4 @@ def _fitted(without: Fit, rival: Rival) -> Fit:
     added, own = rival.effects[-1], {e.key: e for e in rival.effects}
     held = {e.key for e in held_beside(without.effects, added)}
     beside = [e if e.key in held else own.get(e.key, e) for e in without.effects if e.key not in rival.less]
-    return fit(without.problem, [*beside, added], tried=added)
+    return fit_tried(without.problem, [*beside, added], added)

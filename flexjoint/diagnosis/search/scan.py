@@ -15,11 +15,13 @@ from scipy.linalg import cho_factor, cho_solve
 from flexjoint.core.running.budget import checkpoint
 from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.regression.fit import Fit
+from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.whitening import Band
 from flexjoint.diagnosis.search.candidates import Candidate, Trace, may_replace, traces
 from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Planned
 
+RUNS_AWAY = 1e15  # N m and their like: a spring that a load turns over moves by such sizes, and by any other
 INVISIBLE = 1e-6  # noise deviations: a smaller trace is rounding
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are remembered between scans
@@ -168,7 +170,7 @@ class Scanner:
         current, base = against.current, against.base
         problem, own = current.problem, against.around(candidate)
         if candidate.effect.overrides("edit_inertial"):
-            yield from (_kept(t) for t in traces(problem, candidate, base, current.y))
+            yield from (_kept(t) for t in _bounded_traces(problem, candidate, base, current.y))
             return
         key = (candidate.key, candidate.words, *(e.identity for e in own))
         if key in self._traces:
@@ -177,7 +179,7 @@ class Scanner:
         remembered: list[_Kept] | None = []
         # beside the tolerances' columns, each process has its share of the memory
         room = (MEMORY - 8 * len(problem.nuisance) * problem.samples) / processes
-        for trace in traces(problem, candidate, own, current.y):
+        for trace in _bounded_traces(problem, candidate, own, current.y):
             kept, columns = _kept(trace)
             yield kept, columns
             if remembered is not None:
@@ -188,6 +190,15 @@ class Scanner:
                     remembered = None
         if remembered is not None:
             self._traces[key] = remembered
+
+
+def _bounded_traces(
+    problem: Problem, candidate: Candidate, base: Sequence[Planned], y: np.ndarray
+) -> Iterator[Trace]:
+    """The traces of a candidate that do not run away."""
+    for trace in traces(problem, candidate, base, y):
+        if all(np.all(np.abs(band.spectra) < RUNS_AWAY) for band in trace.bands):
+            yield trace
 
 
 def _kept(trace: Trace) -> tuple[_Kept, np.ndarray]:

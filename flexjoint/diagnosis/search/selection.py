@@ -12,7 +12,7 @@ import numpy as np
 from flexjoint.core.running.budget import UNLIMITED, Budget, OutOfTimeError, here, within
 from flexjoint.core.running.worker_pool import WorkerPool, worker_pool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, refit_without
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, fit_tried, refit_without
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.regression.uncertainty import standard_errors
 from flexjoint.diagnosis.result import Step
@@ -30,6 +30,7 @@ from flexjoint.diagnosis.search.criteria import (
     unexplained_energy,
 )
 from flexjoint.diagnosis.search.history import steps_between
+from flexjoint.diagnosis.search.pairs import joint_pairs, wrong_joints
 from flexjoint.diagnosis.search.rivals import Key, Rivals
 from flexjoint.diagnosis.search.scan import Scanner, Scored
 from flexjoint.diagnosis.search.trials import (
@@ -51,6 +52,7 @@ STAGE = "search"  # in the trace
 PRUNED = "beside the others it no longer explains its price"
 COMMON = "ordinary friction takes most of the error of several joints"
 ALIKE = "several joints have it by one value"
+PAIRED = "with another cause it explains what neither explains alone"
 LEFT_OUT = (
     "the time allowed was over during the search: further causes were not looked for, and not every cause was"
     " compared with its rivals"
@@ -143,6 +145,7 @@ class _Found:
     scans: list[tuple[Scored, ...]] = field(default_factory=list)  # of every set that was looked beyond
     trace: list[Step] = field(default_factory=list)
     rivals: dict[Key, tuple[Fit, ...]] = field(default_factory=dict)
+    looked: set[frozenset[Key]] = field(default_factory=set)  # sets beyond which two causes were looked for
 
     def takes(self, best: Fit, check: str, why: str) -> None:
         """Another set takes its place."""
@@ -154,6 +157,26 @@ class _Found:
         self.takes(best, "exchange", "the set with it scores better")
         if everywhere:
             self.rivals = dict(zip((e.key for e in best.effects), rivals, strict=True))
+
+    def pruned(self, grown: Fit, search: Search, standing: Mapping[Key, frozenset[Key]]) -> Fit | None:
+        """A larger set without what is not supported in it (`prune`); None where that leads back to a set
+        that was seen."""
+        pruned = prune(grown, search.pool, standing)
+        return None if _keys(pruned) in self.seen else pruned
+
+    def paired(self, search: Search, bare: Fit, scanned: Sequence[Scored]) -> Fit | None:
+        """The set with two more causes on each joint that only so is explained (`joint_pairs`); None where
+        there is none. The causes of other joints matter, too: what they leave of these holds the nominal
+        numbers that all have in common."""
+        best, pool, joints = self.best, search.pool, wrong_joints(self.best)
+        if _keys(best) in self.looked:
+            return None
+        self.looked.add(_keys(best))
+        sets = joint_pairs(best, bare, scanned, joints, search.scanner.candidates, pool)
+        if not sets:
+            return None
+        alike = on_one_level(sets, pool)
+        return _with_other_joints(choose(alike), alike, sets, pool)
 
 
 def _select(problem: Problem, search: Search, report: Progress, start: Sequence[Planned]) -> Selection:
@@ -241,11 +264,12 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
             chosen = choose(on_one_level([*others, *alike], search.pool))
             if _keys(chosen) not in {_keys(f) for f in others}:
                 grown, why = at_own_level(chosen), ("one value", ALIKE)
-        if grown is None:
+        pruned = None if grown is None else found.pruned(grown, search, standing)
+        if pruned is None and bare is not None:
+            grown, why = found.paired(search, bare, both[-1]), ("pair", PAIRED)
+            pruned = None if grown is None else found.pruned(grown, search, standing)
+        if grown is None or pruned is None:
             break
-        pruned = prune(grown, search.pool, standing)
-        if _keys(pruned) in found.seen:  # it would lead there again
-            return
         older = _keys(best)
         found.takes(grown, *why)
         found.takes(pruned, "price", PRUNED)
@@ -533,7 +557,7 @@ def united(result: Fit) -> Fit:
             others = [e for e in result.effects if e is not narrow and e is not wide]
             for since in dict.fromkeys((wide.since, narrow.since)):
                 one = replace(wide, since=since)
-                alone = date_onset(fit(result.problem, [*others, one], tried=one))
+                alone = date_onset(fit_tried(result.problem, [*others, one], one))
                 if score(alone) < score(result):
                     return united(alone)
     return result

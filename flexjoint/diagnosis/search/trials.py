@@ -12,7 +12,7 @@ import numpy as np
 from flexjoint.core.running.budget import Budget, within
 from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
-from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit
+from flexjoint.diagnosis.regression.fit import Fit, evaluated, fit, fit_tried
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
@@ -101,14 +101,14 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
     predicted noise, whichever leaves less: at a high noise level a friction may converge to a wrong
     number."""
     best, bare, above = task
-    marked = _marked(above, 1)
+    changed = marked(above, 1)
     levels = bare.problem.variances(above.y)
-    if not np.any(levels[marked] > above.settings.regression.noise_decides):
+    if not np.any(levels[changed] > above.settings.regression.noise_decides):
         return above
-    below = fit(bare.problem, above.effects, tried=above.effects[-1])
+    below = fit_tried(bare.problem, above.effects, above.effects[-1])
     if degenerate(below.problem, below.effects[-1]):
         return above
-    lower = _cleared(best, bare.problem.variances(below.y), marked) > _cleared(best, levels, marked)
+    lower = _cleared(best, bare.problem.variances(below.y), changed) > _cleared(best, levels, changed)
     return below if lower else above
 
 
@@ -120,7 +120,7 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
     limits = best.settings.search
     waiting: dict[str | None, list[tuple[float, Fit]]] = {}
     for f in trials:
-        share, e = _cleared(best, bare.problem.variances(f.y), _marked(f, 1)), f.effects[-1]
+        share, e = _cleared(best, bare.problem.variances(f.y), marked(f, 1)), f.effects[-1]
         if best.problem.level.implausible > 1.0 or share >= np.log(limits.cleared):
             waiting.setdefault(e.joint if acts_within_a_joint(e) else None, []).append((share, f))
     out: list[Fit] = []
@@ -135,24 +135,24 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
     return out
 
 
-def _marked(trial: Fit, last: int) -> np.ndarray:
+def marked(trial: Fit, last: int) -> np.ndarray:
     """(rows,) bool: the balances that the last few effects of a set change (`changed_balances`)."""
     count = len(trial.effects)
     changed = [changed_balances(trial.problem, trial.effects, k) for k in range(count - last, count)]
     return np.any(changed, axis=0)
 
 
-def _cleared(best: Fit, levels: np.ndarray, marked: np.ndarray) -> float:
+def _cleared(best: Fit, levels: np.ndarray, changed: np.ndarray) -> float:
     """By how much (mean logarithm) variances are lower than those that `best` leaves, over the balances that
     are wrong and that the added effect changes: where many joints are wrong, one cause corrects its own."""
     left = best.problem.level.inflation / best.problem.level.implausibility
-    wrong = (left > best.settings.search.wrong) & marked
+    wrong = (left > best.settings.search.wrong) & changed
     return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
 
 
-def _clears(best: Fit, levels: np.ndarray, marked: np.ndarray) -> bool:
+def clears(best: Fit, levels: np.ndarray, changed: np.ndarray) -> bool:
     """Whether variances are lower by the factor from which a set is judged at its own noise level."""
-    return _cleared(best, levels, marked) >= float(np.log(best.settings.search.cleared))
+    return _cleared(best, levels, changed) >= float(np.log(best.settings.search.cleared))
 
 
 def on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> list[Fit]:
@@ -221,14 +221,14 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
     ones."""
     best, rival, candidates = task
     scored = Scanner(candidates).scan(rival)
-    if not scored or not _might_clear(best, rival, scored[0]):
+    if not scored or not might_clear(best, rival, scored[0]):
         return None
     trial = added_to(rival, scored[0])
     if trial is None:
         return None
     # one law may imitate two causes with the help of nominal numbers that are far off
     apart = needs_implausible(best, trial) and any(_narrower(rival, e) for e in best.effects)
-    if not apart and not _clears(best, trial.problem.variances(trial.y), _marked(trial, 2)):
+    if not apart and not clears(best, trial.problem.variances(trial.y), marked(trial, 2)):
         return None
     refitted = at_own_level(trial)
     without = fit(refitted.problem, best.effects)
@@ -237,17 +237,17 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
     return refitted if supported(refitted, without, refitted.effects[len(rival.effects) - 1]) else None
 
 
-def _might_clear(best: Fit, rival: Fit, scored: Scored) -> bool:
+def might_clear(best: Fit, rival: Fit, scored: Scored) -> bool:
     """Whether a candidate beside a rival may remove most of what is wrong in `best` once it is fitted, from
     what it removes to first order; always, where it may free `best` of implausible nominal numbers."""
     limits = best.settings.search
     if best.furthest > best.settings.regression.implausible:
         return True
-    problem, effects = best.problem, [*rival.effects, scored.planned()]
+    problem, effects = rival.problem, [*rival.effects, scored.planned()]
     shares = [torque_shares(problem, effects, k) for k in range(len(effects) - 2, len(effects))]
-    wrong = problem.level.inflation / problem.level.implausibility > limits.wrong
-    marked = wrong & np.any(np.array(shares) > 0.0, axis=0)
-    left = problem.rest_by_row(best.y)[marked]
+    wrong = best.problem.level.inflation / best.problem.level.implausibility > limits.wrong
+    changed = wrong & np.any(np.array(shares) > 0.0, axis=0)
+    left = problem.rest_by_row(best.y)[changed]
     needed = (
         problem.energy(rival.y)
         - problem.energy(best.y)
@@ -262,15 +262,18 @@ def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
     best, trial = task
     refitted = settled(trial, trial.effects[-1])
     relieved = best.problem.level.implausible > 1.0 and refitted.problem.level.implausible <= 1.0
-    # the part of the inflation that both sets need for implausible numbers has another cause than this one
-    levels = refitted.problem.level.inflation / np.minimum(
-        refitted.problem.level.implausibility, best.problem.level.implausibility
-    )
-    if not relieved and not _clears(best, levels, _marked(refitted, 1)):
+    if not relieved and not clears(best, judged_levels(best, refitted), marked(refitted, 1)):
         return None
-    without = fit(refitted.problem, best.effects, tried=trial.effects[-1])
+    without = fit_tried(refitted.problem, best.effects, trial.effects[-1])
     better = supported(refitted, without, refitted.effects[-1]) and not only_by_implausible(refitted, best)
     return refitted if better else None
+
+
+def judged_levels(best: Fit, larger: Fit) -> np.ndarray:
+    """(rows,) noise levels of a larger set by which it is judged beside `best`: the part of the inflation
+    that both need for implausible numbers has another cause than what was added."""
+    needed = np.minimum(larger.problem.level.implausibility, best.problem.level.implausibility)
+    return np.asarray(larger.problem.level.inflation / needed)
 
 
 def on_one_level(fits: Sequence[Fit], pool: WorkerPool) -> list[Fit]:
@@ -377,7 +380,7 @@ def added_to(current: Fit, scored: Scored, finely: bool = True) -> Fit | None:
     """A set with a candidate added, fitted and dated, causes within other joints as they are; None where its
     fitted numbers mean nothing (`degenerate`). `finely`: as of `switched`."""
     planned = scored.planned()
-    fitted = switched(date_onset(fit(current.problem, [*current.effects, planned], tried=planned)), finely)
+    fitted = switched(date_onset(fit_tried(current.problem, [*current.effects, planned], planned)), finely)
     instead = _in_the_place_of_a_listed_one(current, fitted.effects[-1])
     if instead is not None and score(instead) < score(fitted):
         fitted = instead
@@ -399,7 +402,7 @@ def _in_the_place_of_a_listed_one(current: Fit, added: Planned) -> Fit | None:
     own = listed[0]
     gone = replace(own.with_values({p.name: p.null for p in own.effect.nulls}), nominal=False)
     whole = added.with_values({p.name: own.values[p.name] for p in law.nulls if p.name in own.values})
-    return fit(current.problem, [*current.effects, gone, whole], tried=whole)
+    return fit_tried(current.problem, [*current.effects, gone, whole], whole)
 
 
 def settled(result: Fit, tried: Planned | None = None) -> Fit:

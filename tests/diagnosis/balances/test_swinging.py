@@ -64,6 +64,18 @@ def test_a_link_on_a_stiff_spring_follows_its_torque(factor: float) -> None:
     assert np.max(np.abs(found.q * stiffness - torque)) < 0.02
 
 
+@pytest.mark.parametrize("ratio", [1e-3, 0.1, 0.5, 0.6, 0.64, 0.68, 0.7, 0.75, 0.9, 1.0, 3.0, 1e3])
+def test_no_step_enlarges_a_damped_swing(ratio: float) -> None:
+    """Of any frequency: a rule that fades with the fourth power of complex rates has a pole near some."""
+    period = 0.005
+    for own in np.geomspace(0.01, 100.0, 200) / period:
+        mass, damping, stiffness = (np.full((2, 1, 1), x) for x in (1.0, 2.0 * ratio * own, own**2))
+        start = np.eye(2)
+        after = [Swinging(mass, damping, stiffness, period).by(np.zeros((1, 2)), x) for x in start]
+        step = np.array([[one.q[1], one.v[1]] for (one,) in after]).T
+        assert np.max(np.abs(np.linalg.eigvals(step))) <= 1.0
+
+
 def test_from_rest_where_the_spring_carries_it() -> None:
     t = times(0.004)
     (found,) = of_one_link(t).by(np.full((1, t.size), 2.0))

@@ -310,7 +310,7 @@ def test_a_load_moves_along_its_derivatives_where_a_joint_is_asked(monkeypatch: 
     all_joints = fit(here, begun, held=[begun[1]])
     moved = len(set(places))
     places.clear()
-    one_joint = fit(here, begun, tried=begun[2])
+    one_joint = fit(here, begun, changed=begun[2])
     assert one_joint.effects[1] is begun[1]
     assert 1 < len(set(places)) < moved
     # derivatives are kept where numbers move by little, so that both end near the optimum and not on it

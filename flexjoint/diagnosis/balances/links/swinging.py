@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from flexjoint.diagnosis.balances.links.movement import Movement
 
-FADES = 1.0 / 24.0  # of (frequency times period)^4, by which the second half of the rule fades
+FADES = 1.0 / 24.0  # of (rate times period)^4, by which the second half of the rule fades
 SLOWEST = 0.1  # of a sample: a link whose spring moves it faster follows it at once
 
 
@@ -22,7 +22,8 @@ class Swinging:
     differential equations I", II.2), x1 - x0 = h/2 (x0' + x1') + h^2/12 (x0'' - x1''): the trapezoidal rule
     lowers a frequency of a tenth of the sampling rate by 3 %. Of swings that the samples do not resolve the
     second half of the rule fades away: the trapezoidal rule leaves their error where filters take it, at half
-    the sampling rate."""
+    the sampling rate. It fades with even powers of springs and of dampers, each for itself: of one link, no
+    step then enlarges what a spring and a damper make smaller."""
 
     mass: np.ndarray
     damping: np.ndarray
@@ -70,8 +71,10 @@ class Swinging:
         held = -np.linalg.solve(mass, np.concatenate([stiffness, damping], axis=2))
         a = np.concatenate([np.concatenate([none, one], axis=2), held], axis=1)
         b = np.concatenate([none, np.linalg.inv(mass)], axis=1)
-        second = h**2 * (a @ a)
-        share = np.linalg.inv(12.0 * (np.eye(2 * k) + FADES * second @ second))
+        second, share = h**2 * (a @ a), np.zeros_like(a)
+        springs, dampers = h**2 * held[:, :, :k], (h * held[:, :, k:]) @ (h * held[:, :, k:])
+        fading = np.linalg.inv(12.0 * (np.eye(k) + FADES * (springs @ springs + dampers @ dampers)))
+        share[:, :k, :k] = share[:, k:, k:] = fading
         even, odd, bent = np.eye(2 * k) + share @ second, 0.5 * h * a, h**2 * share
         right = [even + odd, 0.5 * h * b, bent @ a @ b, bent @ b]
         steps = np.linalg.solve(even - odd, np.concatenate(right, axis=2))

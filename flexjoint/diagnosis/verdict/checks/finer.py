@@ -52,9 +52,9 @@ def leaves_less(best: Fit, planned: Planned) -> bool:
     return True
 
 
-def _left(seen: Problem, effects: Sequence[Planned], tried: Planned, joint: str) -> tuple[float, ...]:
+def _left(seen: Problem, effects: Sequence[Planned], changed: Planned, joint: str) -> tuple[float, ...]:
     """[N m] of a joint, and of each of its balances, where the fit did not look."""
-    total, balances = joint_left(fit(seen, effects, tried=tried), joint)
+    total, balances = joint_left(fit(seen, effects, changed=changed), joint)
     return total, *balances
 
 
