@@ -648,7 +648,7 @@ class SearchSettings(Stage):
     paired: int = number(
         3,
         "candidates",
-        "of a joint beside each of which a further one is looked for, where none alone explains it",
+        "of a joint beside each of which as many further ones are tried, where none alone explains it",
         "judgement: of look-alikes (a lag, a delay) two are often among the best",
     )
     alternatives: int = number(

@@ -11,13 +11,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from flexjoint.core.running.budget import checkpoint
 from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, refit_without
 from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import at_own_level, only_by_implausible, supported
+from flexjoint.diagnosis.search.rivals import Key
 from flexjoint.diagnosis.search.scan import Scanner, Scored
-from flexjoint.diagnosis.search.trials import added_to, clears, judged_levels, marked, might_clear
+from flexjoint.diagnosis.search.trials import added_to, cleared, clears, judged_levels, marked, might_clear
 
 
 def wrong_joints(best: Fit) -> list[str]:
@@ -37,46 +41,60 @@ def joint_pairs(
     candidates: Sequence[Candidate],
     pool: WorkerPool,
 ) -> list[Fit]:
-    """Sets of two more causes of one of some joints, each at the noise level that it leaves, that clear most
-    of what is wrong with the joint and of which each is supported beside the other. `bare` is the set `best`
-    fitted at the level of the predicted noise, and `scanned` the scan of that."""
-    taken = {e.key for e in best.effects}
+    """Sets with the two causes of one of some joints that clear most of what is wrong with it, each at the
+    noise level that it leaves. `bare` is the set `best` fitted at the level of the predicted noise, and
+    `scanned` the scan of that."""
     tasks = []
     for joint in joints:
-        own = [c for c in candidates if c.joint == joint and acts_within_a_joint(c) and c.key not in taken]
+        own = tuple(c for c in candidates if c.joint == joint and acts_within_a_joint(c))
         firsts = [s for s in scanned if s.candidate.joint == joint and acts_within_a_joint(s.candidate)]
-        for first in firsts[: best.settings.search.paired]:
-            tasks.append((best, bare, first, tuple(c for c in own if c.key != first.candidate.key)))
-    return [f for f in pool.map(_paired, tasks) if f is not None]
+        tasks.append((best, bare, tuple(firsts[: best.settings.search.paired]), own))
+    return [f for f in pool.map(_pair, tasks) if f is not None]
 
 
-def _paired(task: tuple[Fit, Fit, Scored, Sequence[Candidate]]) -> Fit | None:
-    """A set with a cause and the best one beside it with which it makes a pair (`_together`)."""
-    best, bare, first, others = task
-    one = added_to(bare, replace(first, since=None), finely=False)
-    scanned = () if one is None or not others else Scanner(others).scan(one)
-    for second in scanned[: best.settings.search.paired]:
-        if one is not None and might_clear(best, one, second):
-            both = _together(best, one, first, second)
-            if both is not None:
-                return both
+def _pair(task: tuple[Fit, Fit, Sequence[Scored], Sequence[Candidate]]) -> Fit | None:
+    """The pair of causes of a joint that clears most of what is wrong with it, at the noise level that it
+    leaves; None where none clears enough there, or has two causes of which each is supported beside the
+    other."""
+    best, bare, firsts, candidates = task
+    trials = _trials(best, bare, firsts, candidates)
+    shares = [cleared(best, bare.problem.variances(f.y), _new(best, f)) for _, f in trials]
+    for share, (keys, trial) in sorted(zip(shares, trials, strict=True), key=lambda one: -one[0]):
+        if share < np.log(best.settings.search.cleared):
+            break
+        both = at_own_level(trial, trial.effects[-1])
+        if not clears(best, judged_levels(best, both), _new(best, both)) or only_by_implausible(both, best):
+            continue
+        causes = [e for e in both.effects if e.key in keys]
+        if all(supported(both, refit_without(both, e), e) for e in causes):
+            return both
     return None
 
 
-def _together(best: Fit, one: Fit, first: Scored, second: Scored) -> Fit | None:
-    """The set `one`, which has a first cause more than `best`, with a second one, at its own noise level;
-    None where the two do not clear most of what is wrong, or one of them is not supported beside the other.
-    What acts for a while only is no cause of such a pair: among so many starts and ends, one fits by
-    chance."""
-    trial = added_to(one, replace(second, since=None), finely=False)
-    if trial is None:
-        return None
-    new = len(trial.effects) - len(best.effects)
-    if not clears(best, trial.problem.variances(trial.y), marked(trial, new)):
-        return None
-    both = at_own_level(trial, trial.effects[-1])
-    if not clears(best, judged_levels(best, both), marked(both, new)) or only_by_implausible(both, best):
-        return None
-    keys = {first.candidate.key, second.candidate.key}
-    causes = [e for e in both.effects if e.key in keys]
-    return both if all(supported(both, refit_without(both, e), e) for e in causes) else None
+def _trials(
+    best: Fit, bare: Fit, firsts: Sequence[Scored], candidates: Sequence[Candidate]
+) -> list[tuple[set[Key], Fit]]:
+    """Sets with one of some causes and one of the best of the joint beside it, fitted at the level of the
+    predicted noise, with the keys of the two. What acts for a while only is no cause of a pair: among so many
+    starts and ends, one fits by chance."""
+    out: list[tuple[set[Key], Fit]] = []
+    for first in firsts:
+        checkpoint()
+        one = added_to(bare, replace(first, since=None), finely=False)
+        if one is None:
+            continue
+        taken = {e.key for e in one.effects}
+        scanned = Scanner([c for c in candidates if c.key not in taken]).scan(one)
+        for second in scanned[: best.settings.search.paired]:
+            keys = {first.candidate.key, second.candidate.key}
+            if any(keys == known for known, _ in out) or not might_clear(best, one, second):
+                continue
+            trial = added_to(one, replace(second, since=None), finely=False)
+            if trial is not None:
+                out.append((keys, trial))
+    return out
+
+
+def _new(best: Fit, larger: Fit) -> np.ndarray:
+    """(rows,) bool: the balances that the effects change that a larger set has at its end."""
+    return marked(larger, len(larger.effects) - len(best.effects))

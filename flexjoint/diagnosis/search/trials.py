@@ -108,7 +108,7 @@ def _clearer(task: tuple[Fit, Fit, Fit]) -> Fit:
     below = fit_tried(bare.problem, above.effects, above.effects[-1])
     if degenerate(below.problem, below.effects[-1]):
         return above
-    lower = _cleared(best, bare.problem.variances(below.y), changed) > _cleared(best, levels, changed)
+    lower = cleared(best, bare.problem.variances(below.y), changed) > cleared(best, levels, changed)
     return below if lower else above
 
 
@@ -120,7 +120,7 @@ def clearing(best: Fit, trials: Sequence[Fit], bare: Fit, pool: WorkerPool) -> l
     limits = best.settings.search
     waiting: dict[str | None, list[tuple[float, Fit]]] = {}
     for f in trials:
-        share, e = _cleared(best, bare.problem.variances(f.y), marked(f, 1)), f.effects[-1]
+        share, e = cleared(best, bare.problem.variances(f.y), marked(f, 1)), f.effects[-1]
         if best.problem.level.implausible > 1.0 or share >= np.log(limits.cleared):
             waiting.setdefault(e.joint if acts_within_a_joint(e) else None, []).append((share, f))
     out: list[Fit] = []
@@ -142,7 +142,7 @@ def marked(trial: Fit, last: int) -> np.ndarray:
     return np.any(changed, axis=0)
 
 
-def _cleared(best: Fit, levels: np.ndarray, changed: np.ndarray) -> float:
+def cleared(best: Fit, levels: np.ndarray, changed: np.ndarray) -> float:
     """By how much (mean logarithm) variances are lower than those that `best` leaves, over the balances that
     are wrong and that the added effect changes: where many joints are wrong, one cause corrects its own."""
     left = best.problem.level.inflation / best.problem.level.implausibility
@@ -152,7 +152,7 @@ def _cleared(best: Fit, levels: np.ndarray, changed: np.ndarray) -> float:
 
 def clears(best: Fit, levels: np.ndarray, changed: np.ndarray) -> bool:
     """Whether variances are lower by the factor from which a set is judged at its own noise level."""
-    return _cleared(best, levels, changed) >= float(np.log(best.settings.search.cleared))
+    return cleared(best, levels, changed) >= float(np.log(best.settings.search.cleared))
 
 
 def on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> list[Fit]:
