@@ -295,7 +295,7 @@ def _diagnosis(
     selection, best = case.selection, case.selection.best
     named, estimation = case.estimated
     limits, joints = task.settings.verdict, case.remaining
-    found = verdict.merged(named, candidates, best.problem.nominal, limits)
+    found = verdict.merged(named, candidates, best)
     rigid = all(joint.rigid for joint in case.robot.joints)
     shaped = standing_out(joints, limits)
     kind, reason = _verdict(found, case.left, case.explained, shaped, limits, rigid, bool(selection.left_out))

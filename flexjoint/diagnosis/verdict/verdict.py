@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from flexjoint.diagnosis.regression.fit import Fit
+from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors, standard_errors
 from flexjoint.diagnosis.result import Finding, Fitted, Ranked, WithinTolerance
@@ -18,7 +18,6 @@ from flexjoint.diagnosis.search.criteria import (
     needs_implausible,
 )
 from flexjoint.diagnosis.search.selection import Key, Selection
-from flexjoint.diagnosis.settings import VerdictSettings
 from flexjoint.diagnosis.signals.signals import Readings
 from flexjoint.diagnosis.verdict.instead import paired
 from flexjoint.diagnosis.verdict.reliability import left_by, on_background, reliability, where_held
@@ -128,15 +127,12 @@ def _rubs_more(best: Fit, planned: Planned) -> bool:
     )
 
 
-def merged(
-    found: Sequence[Finding],
-    candidates: Sequence[Candidate],
-    nominal: Sequence[Planned],
-    settings: VerdictSettings,
-) -> tuple[Finding, ...]:
-    """The findings, with a timing cause that all joints with that sensor have, with equal values, as one
-    finding of the robot, and a law that takes the place of a nominal one as one finding of the joint."""
-    out = list(paired(found, nominal))
+def merged(found: Sequence[Finding], candidates: Sequence[Candidate], best: Fit) -> tuple[Finding, ...]:
+    """The findings, with a timing cause that several joints have, with equal values, as one finding of the
+    robot where no joint that can have it speaks against that value, and a law that takes the place of a
+    nominal one as one finding of the joint."""
+    settings = best.settings.verdict
+    out = list(paired(found, best.problem.nominal))
     groups: dict[object, list[Finding]] = {}
     for f in found:
         if f.kind == Kind.TIMING and f.joint is not None:
@@ -144,10 +140,7 @@ def merged(
             groups.setdefault((f.effect, words), []).append(f)
     for group in groups.values():
         effect, words = group[0].effect, tuple(v for v in group[0].parameters.values() if isinstance(v, str))
-        joints = {
-            c.joint for c in candidates if c.effect.name == effect and tuple(v for _, v in c.words) == words
-        }
-        if len(group) == 1 or {f.joint for f in group} != joints or any(f.since is not None for f in group):
+        if len(group) == 1 or any(f.since is not None for f in group):
             continue
         name = group[0].planned.effect.nulls[0].name
         fitted = [p for p in (f.parameters[name] for f in group) if isinstance(p, Fitted)]
@@ -156,19 +149,36 @@ def merged(
         mean = float(np.sum(weights * values) / np.sum(weights))
         if np.any(np.abs(values - mean) * np.sqrt(weights) > settings.same):
             continue
+        have = {f.joint for f in group}
+        others = [
+            c.planned({name: mean})
+            for c in candidates
+            if c.effect.name == effect and tuple(v for _, v in c.words) == words and c.joint not in have
+        ]
+        if not all(_may_be(best, one) for one in others):
+            continue
+        silent = f"; nothing speaks against it at {', '.join(str(e.joint) for e in others)}" if others else ""
         shared = {**group[0].parameters, name: Fitted(mean, float(np.sum(weights) ** -0.5), "s")}
         one = replace(
             group[0],
             joint=None,
             parameters=shared,
             gain=min(1.0, sum(f.gain for f in group)),
-            probability=max(f.probability for f in group),
-            members=tuple(f.planned.with_values({name: mean}) for f in group),
+            # what each joint tells of it is told by itself
+            probability=1.0 - math.prod(1.0 - f.probability for f in group),
+            members=(*(f.planned.with_values({name: mean}) for f in group), *others),
             indistinguishable=(),
-            note=f"shared by {', '.join(str(f.joint) for f in group)}",
+            note=f"shared by {', '.join(str(f.joint) for f in group)}{silent}",
         )
         out = [f for f in out if f not in group] + [one]
     return tuple(sorted(out, key=lambda f: -f.gain))
+
+
+def _may_be(best: Fit, added: Planned) -> bool:
+    """Whether an effect of this size beside a set contradicts the data by no more than chance."""
+    effects = [*best.effects, added]
+    there = fit(best.problem, effects, held=[added], changed=added)
+    return there.energy - best.energy <= best.settings.verdict.same**2
 
 
 def _parameters(
