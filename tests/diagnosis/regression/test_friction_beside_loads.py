@@ -27,7 +27,7 @@ from flexjoint.diagnosis.search.candidates import Candidate, enumerate_candidate
 from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.diagnosis.search.selection import with_ordinary
-from flexjoint.diagnosis.search.trials import _might_clear, at_noise, clearing
+from flexjoint.diagnosis.search.trials import at_noise, clearing, might_clear
 from flexjoint.effects import Planned, catalogue, effect
 from flexjoint.robot.robot import load
 
@@ -349,4 +349,4 @@ def test_a_rival_pair_that_cannot_clear_is_not_fitted() -> None:
     worst = scanned[-1]
     assert best.furthest <= best.settings.regression.implausible
     assert missing.removes > 10.0 * worst.removes
-    assert not _might_clear(best, rival, worst)
+    assert not might_clear(best, rival, worst)

@@ -14,7 +14,7 @@ from support.thorough import exhaustive, thorough
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.deviations import deviation_effects, judged_energy
-from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.fit import Fit, fit, fit_tried
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Estimation, Finding, Fitted
 from flexjoint.diagnosis.search import criteria, dating, trials
@@ -125,9 +125,9 @@ def test_an_onset_is_found_in_a_few_fits(monkeypatch: pytest.MonkeyPatch) -> Non
     def counted(*given: object, **named: object) -> Fit:
         nonlocal count
         count += 1
-        return fit(*given, **named)  # type: ignore[arg-type]
+        return fit_tried(*given, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(dating, "fit", counted)
+    monkeypatch.setattr(dating, "fit_tried", counted)
     dated = date_onset(begun)
 
     assert dated.effects[0].since == pytest.approx(5.9, abs=0.05)
@@ -371,9 +371,9 @@ def test_of_many_joints_that_are_wrong_a_cause_clears_its_own() -> None:
     wrong = SimpleNamespace(problem=problem, settings=USUAL)
     levels, own = np.full(9, 1000.0), np.arange(9) < 2
     levels[own] = 2.0
-    assert trials._cleared(wrong, levels, own) == pytest.approx(np.log(500.0))
-    assert trials._cleared(wrong, levels, ~own) == 0.0
-    assert trials._cleared(wrong, levels, np.full(9, True)) < np.log(USUAL.search.cleared)
+    assert trials.cleared(wrong, levels, own) == pytest.approx(np.log(500.0))
+    assert trials.cleared(wrong, levels, ~own) == 0.0
+    assert trials.cleared(wrong, levels, np.full(9, True)) < np.log(USUAL.search.cleared)
 
 
 def test_the_methods_error_of_a_cause_is_in_the_balances_that_it_marks() -> None:
