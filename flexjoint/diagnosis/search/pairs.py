@@ -3,7 +3,7 @@
 A search that adds one cause at a time stops where each of two takes too little by itself to be told from what
 else may be wrong: a late torque, where friction also gives way before it slips. So once no single cause is
 found, each joint of which a balance is wrong is looked at two causes ahead: the best ones are tried, and
-beside each of them the best further one (a beam search: Lowerre 1976).
+beside each of them the best further ones (a beam search: Lowerre 1976).
 """
 
 from __future__ import annotations
@@ -24,15 +24,6 @@ from flexjoint.diagnosis.search.scan import Scanner, Scored
 from flexjoint.diagnosis.search.trials import added_to, cleared, clears, judged_levels, marked, might_clear
 
 
-def wrong_joints(best: Fit) -> list[str]:
-    """The joints of which a balance is wrong, and that have room for two more causes."""
-    problem, limits = best.problem, best.settings.search
-    wrong = problem.level.inflation / problem.level.implausibility > limits.wrong
-    joints = {row.joint for row, bad in zip(problem.balances.rows, wrong, strict=True) if bad}
-    names = [problem.robot.joint_names[joint] for joint in sorted(joints)]
-    return [name for name in names if sum(e.joint == name for e in best.effects) + 2 <= limits.most_on_joint]
-
-
 def joint_pairs(
     best: Fit,
     bare: Fit,
@@ -43,9 +34,11 @@ def joint_pairs(
 ) -> list[Fit]:
     """Sets with the two causes of one of some joints that clear most of what is wrong with it, each at the
     noise level that it leaves. `bare` is the set `best` fitted at the level of the predicted noise, and
-    `scanned` the scan of that."""
-    tasks = []
+    `scanned` the scan of that. Joints without room for two more causes are left out."""
+    tasks, most = [], best.settings.search.most_on_joint
     for joint in joints:
+        if sum(e.joint == joint for e in best.effects) + 2 > most:
+            continue
         own = tuple(c for c in candidates if c.joint == joint and acts_within_a_joint(c))
         firsts = [s for s in scanned if s.candidate.joint == joint and acts_within_a_joint(s.candidate)]
         tasks.append((best, bare, tuple(firsts[: best.settings.search.paired]), own))

@@ -21,7 +21,7 @@ from flexjoint.diagnosis.search.candidates import Candidate, Trace, may_replace,
 from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Planned
 
-RUNS_AWAY = 1e15  # N m and their like: a spring that a load turns over moves by such sizes, and by any other
+RUNS_AWAY = 1e15  # N m: no machine has such torques, but a spring that its load turns over gives them
 INVISIBLE = 1e-6  # noise deviations: a smaller trace is rounding
 RIDGE = 1e-7  # of a tangent of unit length
 MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are remembered between scans

@@ -30,7 +30,7 @@ from flexjoint.diagnosis.search.criteria import (
     unexplained_energy,
 )
 from flexjoint.diagnosis.search.history import steps_between
-from flexjoint.diagnosis.search.pairs import joint_pairs, wrong_joints
+from flexjoint.diagnosis.search.pairs import joint_pairs
 from flexjoint.diagnosis.search.rivals import Key, Rivals
 from flexjoint.diagnosis.search.scan import Scanner, Scored
 from flexjoint.diagnosis.search.trials import (
@@ -44,6 +44,7 @@ from flexjoint.diagnosis.search.trials import (
     polish,
     settled,
     sought_again,
+    wrong_joints,
 )
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import Effect, Planned, Site, catalogue
@@ -168,11 +169,11 @@ class _Found:
         """The set with two more causes on each joint that only so is explained (`joint_pairs`); None where
         there is none. The causes of other joints matter, too: what they leave of these holds the nominal
         numbers that all have in common."""
-        best, pool, joints = self.best, search.pool, wrong_joints(self.best)
+        best, pool = self.best, search.pool
         if _keys(best) in self.looked:
             return None
         self.looked.add(_keys(best))
-        sets = joint_pairs(best, bare, scanned, joints, search.scanner.candidates, pool)
+        sets = joint_pairs(best, bare, scanned, wrong_joints(best), search.scanner.candidates, pool)
         if not sets:
             return None
         alike = on_one_level(sets, pool)

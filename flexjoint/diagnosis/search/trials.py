@@ -145,9 +145,25 @@ def marked(trial: Fit, last: int) -> np.ndarray:
 def cleared(best: Fit, levels: np.ndarray, changed: np.ndarray) -> float:
     """By how much (mean logarithm) variances are lower than those that `best` leaves, over the balances that
     are wrong and that the added effect changes: where many joints are wrong, one cause corrects its own."""
-    left = best.problem.level.inflation / best.problem.level.implausibility
-    wrong = (left > best.settings.search.wrong) & changed
+    left, wrong = _left(best), wrong_balances(best) & changed
     return float(np.mean(np.log(left[wrong] / levels[wrong]))) if np.any(wrong) else 0.0
+
+
+def wrong_balances(best: Fit) -> np.ndarray:
+    """(rows,) bool: the balances of which a set leaves far more than noise."""
+    return np.asarray(_left(best) > best.settings.search.wrong)
+
+
+def wrong_joints(best: Fit) -> list[str]:
+    """The joints of which a balance is wrong, in the robot's order."""
+    rows = zip(best.problem.balances.rows, wrong_balances(best), strict=True)
+    joints = {row.joint for row, wrong in rows if wrong}
+    return [best.problem.robot.joint_names[joint] for joint in sorted(joints)]
+
+
+def _left(best: Fit) -> np.ndarray:
+    """(rows,) noise levels of a set without what is needed for implausible nominal numbers."""
+    return np.asarray(best.problem.level.inflation / best.problem.level.implausibility)
 
 
 def clears(best: Fit, levels: np.ndarray, changed: np.ndarray) -> bool:
@@ -190,11 +206,7 @@ def beside_rivals(
     rival takes the place of the effect, and the effect is looked for again beside it. If the rival is a
     special case of the effect, or fits as well as it, all other candidates on the joint are tried beside the
     rival, too (Coulomb friction and an offset instead of a friction with two levels)."""
-    problem = best.problem
-    wrong = problem.level.inflation / problem.level.implausibility > best.settings.search.wrong
-    joints = {row.joint for row, bad in zip(problem.balances.rows, wrong, strict=True) if bad}
-    names = {problem.robot.joint_names[joint] for joint in joints}
-    tasks = []
+    names, tasks = wrong_joints(best), []
     for effect, fits in zip(best.effects, rivals, strict=True):
         if not names or (acts_within_a_joint(effect) and effect.joint not in names):
             continue
@@ -245,8 +257,7 @@ def might_clear(best: Fit, rival: Fit, scored: Scored) -> bool:
         return True
     problem, effects = rival.problem, [*rival.effects, scored.planned()]
     shares = [torque_shares(problem, effects, k) for k in range(len(effects) - 2, len(effects))]
-    wrong = best.problem.level.inflation / best.problem.level.implausibility > limits.wrong
-    changed = wrong & np.any(np.array(shares) > 0.0, axis=0)
+    changed = wrong_balances(best) & np.any(np.array(shares) > 0.0, axis=0)
     left = problem.rest_by_row(best.y)[changed]
     needed = (
         problem.energy(rival.y)
