@@ -647,8 +647,8 @@ class SearchSettings(Stage):
     )
     paired: int = number(
         3,
-        "candidates",
-        "of a joint beside each of which as many further ones are tried, where none alone explains it",
+        "pairs of causes",
+        "of a joint that are fitted, those that explain most to first order, where no single cause is found",
         "judgement: of look-alikes (a lag, a delay) two are often among the best",
     )
     alternatives: int = number(

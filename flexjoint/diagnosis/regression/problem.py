@@ -54,15 +54,22 @@ class NoiseLevel:
 
 @dataclass(frozen=True)
 class Moves:
-    """The columns of some nominal numbers that effects change, and the products of all columns with these."""
+    """The columns of some nominal numbers that effects change, and the products of these with all columns."""
 
     numbers: np.ndarray  # (m,) indices
     columns: np.ndarray  # (m, samples) beside the effects: exactly 0 of a claim in whose place an effect is
-    grams: np.ndarray  # (rows, k, k)
+    across: np.ndarray  # (rows, m, k) over each balance's used samples
 
     @property
     def nbytes(self) -> int:
-        return self.columns.nbytes + self.grams.nbytes
+        return self.columns.nbytes + self.across.nbytes
+
+    def put(self, products: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """Products (..., k, k) of the plain columns, with those (..., m, k) of the changed ones in place."""
+        if self.numbers.size:
+            products[..., self.numbers, :] = across
+            products[..., :, self.numbers] = np.swapaxes(across, -1, -2)
+        return products
 
 
 class Problem(Recorded):
@@ -136,25 +143,34 @@ class Problem(Recorded):
         """(rows,) by which squares of each balance's residual are multiplied; 0 where it does not count."""
         return np.asarray(self.counted / self.level.inflation)
 
-    def _moved_grams(self, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """(rows, k, k) the same where those of some numbers are others."""
+    def _moved_across(self, at: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """(rows, m, k) the same of other columns of some numbers with all. What effects do not change of a
+        balance is not multiplied again."""
         rows = len(self.balances.rows)
         plain = self._plain.reshape(len(self._plain), rows, self.time.size)
         moved = columns.reshape(len(at), rows, self.time.size)
-        out = self._grams.copy()
+        out = self._grams[:, at]
         for row in range(rows):
-            part = moved[:, row] * self.used
+            others = np.flatnonzero(np.any(moved[:, row] != plain[at, row], axis=1))
+            if not others.size:
+                continue
+            here, part = at[others], moved[others, row] * self.used
             across = part @ plain[:, row].T
-            across[:, at] = part @ moved[:, row].T
-            out[row, at] = across
-            out[row][:, at] = across.T
+            across[:, here] = part @ moved[others, row].T
+            out[row, others] = across
+            out[row][:, here] = across[:, at].T
         return out
 
     def _weighed(self) -> tuple[np.ndarray, Any]:
         """(k, k) products of the nominal numbers' columns with their priors, and their Cholesky factor."""
         # J is never stored weighted, for its size
-        gram = np.tensordot(self.by_row, self.moves.grams, 1) + np.eye(len(self._plain))
+        gram = self._product_of_rows(self.by_row) + np.eye(len(self._plain))
         return gram, cho_factor(gram)
+
+    def _product_of_rows(self, by_row: np.ndarray) -> np.ndarray:
+        """(k, k) products of the nominal numbers' columns, of each balance times a factor."""
+        moves = self.moves
+        return moves.put(np.tensordot(by_row, self._grams, 1), np.tensordot(by_row, moves.across, 1))
 
     @property
     def weights(self) -> np.ndarray:
@@ -183,7 +199,7 @@ class Problem(Recorded):
         changed = self._columns.beside(effects)
         numbers = np.array(list(changed), dtype=int)
         columns = np.array(list(changed.values())).reshape(len(changed), self.samples)
-        return Moves(numbers, columns, self._moved_grams(numbers, columns) if changed else self._grams)
+        return Moves(numbers, columns, self._moved_across(numbers, columns))
 
     def shared(self) -> list[object]:
         """What this problem has in common with all others of its recording."""
@@ -224,18 +240,18 @@ class Problem(Recorded):
         an error of its encoder, times its stiffness, is more torque than most causes have."""
         limits = self.settings.regression
         base = self.free_level(y).inflation
-        grams, pulls = self.moves.grams, self._pulls(y)
-        squares = np.sum((y.reshape(len(base), -1) * self.used) ** 2, axis=1)
+        pulls = self._pulls(y)
         raised = np.ones_like(base)
         rigid = all(joint.rigid for joint in self.robot.joints)
         together = np.array([row.joint if rigid else -1 for row in self.balances.rows])
-        information = (self.counted / base)[:, None] * np.diagonal(grams, axis1=1, axis2=2)
+        information = (self.counted / base)[:, None] * self._squares_by_row()
         tells = information > limits.telling_share * np.max(information, axis=0)
         while True:
             by_row = self.counted / (base * raised)
-            gram = np.tensordot(by_row, grams, 1) + np.eye(len(self._plain))
-            deviations = np.linalg.solve(gram, by_row @ pulls)
-            left = squares - 2.0 * pulls @ deviations + (grams @ deviations) @ deviations
+            gram = self._product_of_rows(by_row) + np.eye(len(self._plain))
+            deviations = cho_solve(cho_factor(gram), by_row @ pulls)
+            rest = (y - self.along(deviations)).reshape(len(base), -1)
+            left = np.sum((rest * self.used) ** 2, axis=1)
             joined = together[:, None] == together
             open_rows = joined @ (by_row * left) + deviations @ deviations > 2.0 * limits.telling
             current = information / raised[:, None]
@@ -250,6 +266,13 @@ class Problem(Recorded):
         level = NoiseLevel(base * raised, raised)
         found = np.maximum(level.inflation, np.where(open_rows, self.at(level).variances(y), 0.0))
         return NoiseLevel(found, raised)
+
+    def _squares_by_row(self) -> np.ndarray:
+        """(rows, k) squares of the nominal numbers' columns over each balance's used samples."""
+        moves, out = self.moves, np.diagonal(self._grams, axis1=1, axis2=2).copy()
+        if moves.numbers.size:
+            out[:, moves.numbers] = moves.across[:, np.arange(moves.numbers.size), moves.numbers]
+        return out
 
     def _pulls(self, y: np.ndarray) -> np.ndarray:
         """(rows, numbers) J y of each balance's used samples, without weights."""
@@ -356,7 +379,7 @@ class Problem(Recorded):
     @property
     def bare_gram(self) -> np.ndarray:
         """(numbers, numbers) J J' of the samples that are used, at the predicted noise."""
-        return np.asarray(np.tensordot(self.counted.astype(float), self.moves.grams, 1))
+        return self._product_of_rows(self.counted.astype(float))
 
     def across(self, a: np.ndarray) -> np.ndarray:
         """(k, numbers) a J' of columns a (k, samples)."""

@@ -2,58 +2,78 @@
 
 A search that adds one cause at a time stops where each of two takes too little by itself to be told from what
 else may be wrong: a late torque, where friction also gives way before it slips. So once no single cause is
-found, each joint of which a balance is wrong is looked at two causes ahead: the best ones are tried, and
-beside each of them the best further ones (a beam search: Lowerre 1976).
+found, each joint of which a balance is wrong is looked at two causes ahead. What two effects remove together
+follows, to first order, from the products of their traces alone; only the best pairs are fitted.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from flexjoint.core.running.budget import checkpoint
 from flexjoint.core.running.worker_pool import WorkerPool
-from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, refit_without
-from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import at_own_level, only_by_implausible, supported
 from flexjoint.diagnosis.search.rivals import Key
-from flexjoint.diagnosis.search.scan import Scanner, Scored
-from flexjoint.diagnosis.search.trials import added_to, cleared, clears, judged_levels, marked, might_clear
+from flexjoint.diagnosis.search.scan import RIDGE, Products, Scanner, bounds_of
+from flexjoint.diagnosis.search.trials import (
+    both_added_to,
+    cleared,
+    clears,
+    judged_levels,
+    marked,
+    might_clear,
+)
+from flexjoint.diagnosis.settings import SearchSettings
+from flexjoint.effects import Planned
 
 
-def joint_pairs(
-    best: Fit,
-    bare: Fit,
-    scanned: Sequence[Scored],
-    joints: Sequence[str],
-    candidates: Sequence[Candidate],
-    pool: WorkerPool,
-) -> list[Fit]:
+@dataclass(frozen=True)
+class Pair:
+    """Two effects with the numbers that explain most together, and the energy that they remove, to first
+    order."""
+
+    planned: tuple[Planned, Planned]
+    removes: float
+
+    @property
+    def keys(self) -> frozenset[Key]:
+        return frozenset(e.key for e in self.planned)
+
+
+def joint_pairs(best: Fit, bare: Fit, joints: Sequence[str], scanner: Scanner, pool: WorkerPool) -> list[Fit]:
     """Sets with the two causes of one of some joints that clear most of what is wrong with it, each at the
-    noise level that it leaves. `bare` is the set `best` fitted at the level of the predicted noise, and
-    `scanned` the scan of that. Joints without room for two more causes are left out."""
-    tasks, most = [], best.settings.search.most_on_joint
-    for joint in joints:
-        if sum(e.joint == joint for e in best.effects) + 2 > most:
-            continue
-        own = tuple(c for c in candidates if c.joint == joint and acts_within_a_joint(c))
-        firsts = [s for s in scanned if s.candidate.joint == joint and acts_within_a_joint(s.candidate)]
-        tasks.append((best, bare, tuple(firsts[: best.settings.search.paired]), own))
-    return [f for f in pool.map(_pair, tasks) if f is not None]
+    noise level that it leaves. `bare` is the set `best` fitted at the level of the predicted noise. Joints
+    without room for two more causes are left out."""
+    most = best.settings.search.most_on_joint
+    room = [joint for joint in joints if sum(e.joint == joint for e in best.effects) + 2 <= most]
+    tried = pool.map(_tried, [(best, bare, joint, scanner) for joint in room])
+    return [f for f in tried if f is not None]
 
 
-def _pair(task: tuple[Fit, Fit, Sequence[Scored], Sequence[Candidate]]) -> Fit | None:
+def _tried(task: tuple[Fit, Fit, str, Scanner]) -> Fit | None:
     """The pair of causes of a joint that clears most of what is wrong with it, at the noise level that it
     leaves; None where none clears enough there, or has two causes of which each is supported beside the
     other."""
-    best, bare, firsts, candidates = task
-    trials = _trials(best, bare, firsts, candidates)
-    shares = [cleared(best, bare.problem.variances(f.y), _new(best, f)) for _, f in trials]
-    for share, (keys, trial) in sorted(zip(shares, trials, strict=True), key=lambda one: -one[0]):
-        if share < np.log(best.settings.search.cleared):
+    best, bare, joint, scanner = task
+    limits = best.settings.search
+    trials: list[tuple[float, frozenset[Key], Fit]] = []
+    for pair in best_pairs(scanner.products(bare, joint), limits.paired, limits):
+        checkpoint()
+        trial = (
+            both_added_to(bare, pair.planned) if might_clear(best, bare, pair.planned, pair.removes) else None
+        )
+        if trial is not None:
+            trials.append(
+                (cleared(best, bare.problem.variances(trial.y), _new(best, trial)), pair.keys, trial)
+            )
+    for share, keys, trial in sorted(trials, key=lambda one: -one[0]):
+        if share < np.log(limits.cleared):
             break
         both = at_own_level(trial, trial.effects[-1])
         if not clears(best, judged_levels(best, both), _new(best, both)) or only_by_implausible(both, best):
@@ -64,30 +84,78 @@ def _pair(task: tuple[Fit, Fit, Sequence[Scored], Sequence[Candidate]]) -> Fit |
     return None
 
 
-def _trials(
-    best: Fit, bare: Fit, firsts: Sequence[Scored], candidates: Sequence[Candidate]
-) -> list[tuple[set[Key], Fit]]:
-    """Sets with one of some causes and one of the best of the joint beside it, fitted at the level of the
-    predicted noise, with the keys of the two. What acts for a while only is no cause of a pair: among so many
-    starts and ends, one fits by chance."""
-    out: list[tuple[set[Key], Fit]] = []
-    for first in firsts:
-        checkpoint()
-        one = added_to(bare, replace(first, since=None), finely=False)
-        if one is None:
-            continue
-        taken = {e.key for e in one.effects}
-        scanned = Scanner([c for c in candidates if c.key not in taken]).scan(one)
-        for second in scanned[: best.settings.search.paired]:
-            keys = {first.candidate.key, second.candidate.key}
-            if any(keys == known for known, _ in out) or not might_clear(best, one, second):
-                continue
-            trial = added_to(one, replace(second, since=None), finely=False)
-            if trial is not None:
-                out.append((keys, trial))
-    return out
-
-
 def _new(best: Fit, larger: Fit) -> np.ndarray:
     """(rows,) bool: the balances that the effects change that a larger set has at its end."""
     return marked(larger, len(larger.effects) - len(best.effects))
+
+
+def best_pairs(products: Products, count: int, settings: SearchSettings) -> list[Pair]:
+    """The pairs of effects that remove most energy together, best first, each at its best starts. Without
+    their bounds two traces remove at least as much as within them, so that pairs are solved within bounds in
+    the order of what they remove without, as long as that is more than the last of the best ones removes."""
+    found: dict[frozenset[Key], Pair] = {}
+    enough = 0.0
+    for most, i, j in _unbounded(products):
+        if most <= enough:
+            break
+        pair = _within_bounds(products, i, j, settings)
+        if pair.removes > enough and (pair.keys not in found or pair.removes > found[pair.keys].removes):
+            found[pair.keys] = pair
+            removed = sorted((one.removes for one in found.values()), reverse=True)
+            enough = removed[count - 1] if len(removed) >= count else 0.0
+    return sorted(found.values(), key=lambda pair: -pair.removes)[:count]
+
+
+def _unbounded(products: Products) -> list[tuple[float, int, int]]:
+    """What two traces of different effects remove with any amplitudes, most first, with their numbers."""
+    visible = products.visible()
+    widths = {k: products.places[k].stop - products.places[k].start for k in visible}
+    keys = [trace.candidate.key for trace in products.traces]
+    out: list[tuple[float, int, int]] = []
+    # traces with as many columns make one stack of equations
+    for a, b in itertools.combinations_with_replacement(sorted(set(widths.values())), 2):
+        left, right = ([k for k in visible if widths[k] == width] for width in (a, b))
+        pairs = [(i, j) for i in left for j in right if (a != b or i < j) and keys[i] != keys[j]]
+        if not pairs:
+            continue
+        at = np.array([[*_columns(products, i), *_columns(products, j)] for i, j in pairs])
+        curvature, force = _of_unit_size(products, at)
+        removes = np.sum(force * np.linalg.solve(curvature, force[:, :, None])[:, :, 0], axis=1)
+        out += [(float(gain), i, j) for gain, (i, j) in zip(removes, pairs, strict=True)]
+    return sorted(out, key=lambda one: (-one[0], one[1], one[2]))
+
+
+def _within_bounds(products: Products, i: int, j: int, settings: SearchSettings) -> Pair:
+    """Two traces with the amplitudes that remove most within their bounds."""
+    traces = products.traces[i], products.traces[j]
+    at = np.array([*_columns(products, i), *_columns(products, j)])
+    curvature, force = _of_unit_size(products, at)
+    bounds = np.hstack([bounds_of(trace, settings) for trace in traces])
+    size = np.sqrt(np.diag(products.curvature)[at])
+    # of x'Ax + 2 b'x with A = R'R the minimum is that of |R x + R'^-1 b|
+    energies, axes = np.linalg.eigh(curvature)
+    roots = np.sqrt(np.maximum(energies, RIDGE))
+    x = lsq_linear(roots[:, None] * axes.T, -(axes.T @ force) / roots, bounds * size, method="bvls").x
+    removes = -float(x @ curvature @ x + 2.0 * force @ x)
+    width = products.places[i].stop - products.places[i].start
+    amplitudes = np.split(x / size, [width])
+    first, second = (
+        trace.candidate.planned(trace.values(amplitude))
+        for trace, amplitude in zip(traces, amplitudes, strict=True)
+    )
+    return Pair((first, second), removes)
+
+
+def _columns(products: Products, k: int) -> range:
+    place = products.places[k]
+    return range(place.start, place.stop)
+
+
+def _of_unit_size(products: Products, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Curvature (..., n, n) and force (..., n) of columns `at` (..., n) scaled to unit length, with a ridge
+    for those that are alike."""
+    size = np.sqrt(np.diag(products.curvature))[at]
+    curvature = products.curvature[at[..., :, None], at[..., None, :]] / (
+        size[..., :, None] * size[..., None, :]
+    )
+    return curvature + RIDGE * np.eye(at.shape[-1]), products.force[at] / size

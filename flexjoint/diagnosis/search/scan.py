@@ -6,6 +6,7 @@ on nothing but its candidate and the effects of its own joint: the bits are the 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from flexjoint.core.running.budget import checkpoint
 from flexjoint.core.running.worker_pool import WorkerPool
+from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.whitening import Band
@@ -28,6 +30,7 @@ MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are rememb
 ROUNDED = 256.0  # steps to which a number's mantissa (0.5 to 1) is rounded
 PART = 6  # candidates that are taken at a time
 BATCH = 16  # columns whose products are taken together
+PIECE = 4096  # samples of them at a time
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,24 @@ class _Traced:
     kept: _Kept
     columns: np.ndarray
     places: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Products:
+    """The traces of some candidates all along the record, and the products of their n columns with each other
+    and with what is left, after the free numbers and the nominal ones have taken their part."""
+
+    traces: tuple[Trace, ...]  # without columns
+    places: tuple[slice, ...]  # of their columns
+    curvature: np.ndarray  # (n, n)
+    force: np.ndarray  # (n,)
+    squares: np.ndarray  # (n,) of the columns before
+
+    def visible(self) -> list[int]:
+        """The numbers of the traces of which each column is more than rounding."""
+        left = np.diag(self.curvature)
+        seen = (left >= INVISIBLE**2) & (left >= RIDGE * self.squares)
+        return [k for k, place in enumerate(self.places) if np.all(seen[place])]
 
 
 @dataclass(frozen=True)
@@ -139,6 +160,27 @@ class Scanner:
             for batch in _batches(every):
                 self._score_batch(batch, against, best)
         return best
+
+    def products(self, current: Fit, joint: str) -> Products:
+        """All traces of the effects within a joint on top of a fitted set, except those that have a start."""
+        against = _Against(current)
+        taken = {e.key for e in current.effects}
+        seen: list[_Kept] = []
+        for k, candidate in enumerate(self.candidates):
+            checkpoint()
+            if candidate.joint != joint or candidate.key in taken or not acts_within_a_joint(candidate):
+                continue
+            traced = self._traced(k, [against], 1)
+            seen += [t.kept for t in traced if t.kept.trace.since is None]
+        traces, width = tuple(kept.trace for kept in seen), [len(kept.bands) for kept in seen]
+        ends = np.cumsum([0, *width])
+        places = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
+        rows = sorted({int(row) for kept in seen for band in kept.bands for row in band.rows})
+        columns = np.zeros((int(ends[-1]), len(rows), current.problem.time.size), np.float32)
+        for kept, place in zip(seen, places, strict=True):
+            own = [k for k, row in enumerate(rows) if row >= kept.first]
+            columns[place, own] = kept.columns()[:, [rows[k] - kept.first for k in own]]
+        return Products(traces, places, *against.whole(columns, rows))
 
     def _score_batch(
         self, batch: Sequence[_Traced], against: Sequence[_Against], best: Sequence[dict[int, Scored]]
@@ -236,10 +278,7 @@ def _score(
     size = np.maximum(size, 1e-9)
     scaled = curvature / (size[:, :, None] * size[:, None, :]) + 1e-9 * np.eye(size.shape[1])
     amplitude = -np.linalg.solve(scaled, (force / size)[:, :, None])[:, :, 0] / size
-    if trace.kind == "whole":
-        amplitude = np.clip(amplitude, 0.0, settings.most_amplitude)
-    elif trace.kind == "amplitudes":
-        amplitude = _bounded(trace, amplitude, curvature, force)
+    amplitude = _bounded(bounds_of(trace, settings), amplitude, curvature, force)
     removes = -(2.0 * np.sum(amplitude * force, axis=1))
     removes -= np.einsum("bk,bkl,bl->b", amplitude, curvature, amplitude)
     at = int(np.argmax(removes))
@@ -302,6 +341,27 @@ class _Against:
         """The effects on whose top a candidate's traces are taken, with rounded numbers."""
         return self.current.problem.balances.beside(self._rounded, candidate.planned({}))
 
+    def whole(self, columns: np.ndarray, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Projected curvature (n, n) and force (n,) of columns (n, rows, K) that change some balances, all
+        along the record, and their squares (n,) before they are projected."""
+        problem, count = self.current.problem, len(columns)
+        own, beside = np.zeros((count, count)), np.zeros((count, len(self.free)))
+        plain = np.zeros((count, len(problem.nuisance)))
+        for start in range(0, columns.shape[2], PIECE):
+            s = slice(start, start + PIECE)
+            piece = columns[:, :, s].astype(float)
+            weighted = (piece * self.squares[rows, s]).reshape(count, -1)
+            own += weighted @ piece.reshape(count, -1).T
+            beside += weighted @ self.free[:, rows, s].reshape(len(self.free), -1).T
+            used = piece * problem.used[s]
+            for k, row in enumerate(rows):
+                plain += problem.by_row[row] * problem.across_part(used[:, k], row, s)
+        free = len(self.free) - len(self.moved) - 1
+        plain[:, self.moved] = beside[:, free + 1 :]
+        through = np.hstack([plain, beside[:, :free]])
+        curvature = own - through @ cho_solve(self.factor, through.T)
+        return curvature, beside[:, free] - through @ self.pulled, np.diag(own)
+
     def fixed(self, batch: Sequence[_Traced]) -> np.ndarray:
         """(blocks, rows - first, k, numbers) products of the columns with the nominal numbers' plain ones, as
         yet without weights: the same for any fit of one set."""
@@ -351,9 +411,11 @@ def rounded(e: Planned) -> Planned:
     return e.with_values(values)
 
 
-def _bounded(trace: Trace, amplitude: np.ndarray, curvature: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """(blocks, k) amplitudes within their bounds: where one is at its bound, the others are solved again."""
-    out = _within_bounds(trace, amplitude)
+def _bounded(
+    bounds: np.ndarray, amplitude: np.ndarray, curvature: np.ndarray, force: np.ndarray
+) -> np.ndarray:
+    """(blocks, k) amplitudes within bounds (2, k): where one is at its bound, the others are solved again."""
+    out = np.clip(amplitude, *bounds)
     for block in np.flatnonzero(np.any(out != amplitude, axis=1)):
         free = out[block] == amplitude[block]
         if not np.any(free):
@@ -363,14 +425,18 @@ def _bounded(trace: Trace, amplitude: np.ndarray, curvature: np.ndarray, force: 
         size = np.maximum(np.sqrt(np.maximum(np.diag(own), 0.0)), 1e-9)
         scaled = own / np.outer(size, size) + 1e-9 * np.eye(size.size)
         out[block][free] = -np.linalg.solve(scaled, pull / size) / size
-    return _within_bounds(trace, out)
+    return np.clip(out, *bounds)
 
 
-def _within_bounds(trace: Trace, amplitude: np.ndarray) -> np.ndarray:
+def bounds_of(trace: Trace, settings: SearchSettings) -> np.ndarray:
+    """(2, k) least and most amplitudes of a trace's columns."""
+    if trace.kind == "whole":
+        return np.array([[0.0], [settings.most_amplitude]])
     limits = {p.name: (p.low, p.high) for p in trace.candidate.effect.params}
-    out = amplitude.copy()
-    for k, (name, trial) in enumerate(trace.trial.items()):
-        low, high = limits[name]
-        least, most = (low - trace.origin[name]) / trial, (high - trace.origin[name]) / trial
-        out[:, k] = np.clip(out[:, k], min(least, most), max(least, most))
-    return out
+    if trace.kind == "phase":
+        return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+    ends = [
+        sorted((end - trace.origin[name]) / trial for end in limits[name])
+        for name, trial in trace.trial.items()
+    ]
+    return np.array(ends).T

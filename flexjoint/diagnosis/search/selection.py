@@ -165,7 +165,7 @@ class _Found:
         pruned = prune(grown, search.pool, standing)
         return None if _keys(pruned) in self.seen else pruned
 
-    def paired(self, search: Search, bare: Fit, scanned: Sequence[Scored]) -> Fit | None:
+    def paired(self, search: Search, bare: Fit) -> Fit | None:
         """The set with two more causes on each joint that only so is explained (`joint_pairs`); None where
         there is none. The causes of other joints matter, too: what they leave of these holds the nominal
         numbers that all have in common."""
@@ -173,7 +173,7 @@ class _Found:
         if _keys(best) in self.looked:
             return None
         self.looked.add(_keys(best))
-        sets = joint_pairs(best, bare, scanned, wrong_joints(best), search.scanner.candidates, pool)
+        sets = joint_pairs(best, bare, wrong_joints(best), search.scanner, pool)
         if not sets:
             return None
         alike = on_one_level(sets, pool)
@@ -267,7 +267,7 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
                 grown, why = at_own_level(chosen), ("one value", ALIKE)
         pruned = None if grown is None else found.pruned(grown, search, standing)
         if pruned is None and bare is not None:
-            grown, why = found.paired(search, bare, both[-1]), ("pair", PAIRED)
+            grown, why = found.paired(search, bare), ("pair", PAIRED)
             pruned = None if grown is None else found.pruned(grown, search, standing)
         if grown is None or pruned is None:
             break

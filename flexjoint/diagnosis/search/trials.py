@@ -233,7 +233,7 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
     ones."""
     best, rival, candidates = task
     scored = Scanner(candidates).scan(rival)
-    if not scored or not might_clear(best, rival, scored[0]):
+    if not scored or not might_clear(best, rival, [scored[0].planned()], scored[0].removes):
         return None
     trial = added_to(rival, scored[0])
     if trial is None:
@@ -249,13 +249,14 @@ def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
     return refitted if supported(refitted, without, refitted.effects[len(rival.effects) - 1]) else None
 
 
-def might_clear(best: Fit, rival: Fit, scored: Scored) -> bool:
-    """Whether a candidate beside a rival may remove most of what is wrong in `best` once it is fitted, from
-    what it removes to first order; always, where it may free `best` of implausible nominal numbers."""
+def might_clear(best: Fit, rival: Fit, added: Sequence[Planned], removes: float) -> bool:
+    """Whether two effects may remove most of what is wrong in `best` once they are fitted: those `added` to
+    another set, or one and the last effect of that set, which `removes` so much energy to first order.
+    Always, where they may free `best` of implausible nominal numbers."""
     limits = best.settings.search
     if best.furthest > best.settings.regression.implausible:
         return True
-    problem, effects = rival.problem, [*rival.effects, scored.planned()]
+    problem, effects = rival.problem, [*rival.effects, *added]
     shares = [torque_shares(problem, effects, k) for k in range(len(effects) - 2, len(effects))]
     changed = wrong_balances(best) & np.any(np.array(shares) > 0.0, axis=0)
     left = problem.rest_by_row(best.y)[changed]
@@ -264,7 +265,7 @@ def might_clear(best: Fit, rival: Fit, scored: Scored) -> bool:
         - problem.energy(best.y)
         + (1.0 - 1.0 / limits.cleared) * float(np.sum(left**2))
     )
-    return scored.removes >= limits.unfitted**2 * needed
+    return removes >= limits.unfitted**2 * needed
 
 
 def _cleared_at_own_level(task: tuple[Fit, Fit]) -> Fit | None:
@@ -392,28 +393,38 @@ def added_to(current: Fit, scored: Scored, finely: bool = True) -> Fit | None:
     fitted numbers mean nothing (`degenerate`). `finely`: as of `switched`."""
     planned = scored.planned()
     fitted = switched(date_onset(fit_tried(current.problem, [*current.effects, planned], planned)), finely)
-    instead = _in_the_place_of_a_listed_one(current, fitted.effects[-1])
-    if instead is not None and score(instead) < score(fitted):
-        fitted = instead
+    fitted = instead_of_listed(fitted, fitted.effects[-1])
     return None if degenerate(current.problem, fitted.effects[-1]) else fitted
 
 
-def _in_the_place_of_a_listed_one(current: Fit, added: Planned) -> Fit | None:
+def both_added_to(current: Fit, pair: Sequence[Planned]) -> Fit | None:
+    """A set with two effects of one joint added, fitted together; None where fitted numbers of either mean
+    nothing (`degenerate`)."""
+    fitted = fit_tried(current.problem, [*current.effects, *pair], pair[0])
+    for key in (e.key for e in pair):
+        fitted = instead_of_listed(fitted, next(e for e in fitted.effects if e.key == key))
+    added = [e for e in fitted.effects if e.key in {one.key for one in pair}]
+    return None if any(degenerate(current.problem, e) for e in added) else fitted
+
+
+def instead_of_listed(fitted: Fit, added: Planned) -> Fit:
     """The set with a law that has a state of its own in the place of one that the nominal model lists and
-    that it contains (a friction that gives way, of a dry one): the two do not add up to it with any numbers,
-    so that beside the listed one, as it is, little of the law is seen. None where nothing is listed."""
-    law, taken = added.effect, {e.key for e in current.effects}
+    that it contains (a friction that gives way, of a dry one), if that is better: the two do not add up to it
+    with any numbers, so that beside the listed one, as it is, little of the law is seen."""
+    law, others = added.effect, [e for e in fitted.effects if e is not added]
+    taken = {e.key for e in others}
     listed = [
         e
-        for e in current.problem.nominal
+        for e in fitted.problem.nominal
         if law.states and e.joint == added.joint and e.effect.name in law.contains and e.key not in taken
     ]
     if not listed or added.since is not None:
-        return None
+        return fitted
     own = listed[0]
     gone = replace(own.with_values({p.name: p.null for p in own.effect.nulls}), nominal=False)
     whole = added.with_values({p.name: own.values[p.name] for p in law.nulls if p.name in own.values})
-    return fit_tried(current.problem, [*current.effects, gone, whole], whole)
+    instead = fit_tried(fitted.problem, [*others, gone, whole], whole)
+    return instead if score(instead) < score(fitted) else fitted
 
 
 def settled(result: Fit, tried: Planned | None = None) -> Fit:

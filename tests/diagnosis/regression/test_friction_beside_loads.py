@@ -349,4 +349,4 @@ def test_a_rival_pair_that_cannot_clear_is_not_fitted() -> None:
     worst = scanned[-1]
     assert best.furthest <= best.settings.regression.implausible
     assert missing.removes > 10.0 * worst.removes
-    assert not might_clear(best, rival, worst)
+    assert not might_clear(best, rival, [worst.planned()], worst.removes)
