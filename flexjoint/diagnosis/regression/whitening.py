@@ -152,6 +152,12 @@ class Whitening:
             mixed[..., row - first :, :] += self.matrix[row:, row] * band.spectra[..., k, None, :]
         return np.asarray(fft.irfft(mixed, self.length, axis=-1)[..., self.keep] * self.scale)
 
+    def white_in(self, band: Band, row: int) -> np.ndarray:
+        """(K,) of one band: the same in one balance."""
+        before = band.rows <= row
+        mixed = np.sum(self.matrix[row, band.rows[before]] * band.spectra[before], axis=0)
+        return np.asarray(fft.irfft(mixed, self.length)[self.keep] * self.scale)
+
 
 def make(
     balances: Balances,

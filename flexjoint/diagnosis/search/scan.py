@@ -7,7 +7,7 @@ on nothing but its candidate and the effects of its own joint: the bits are the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,6 @@ MEMORY = 1.6e8  # bytes of the tolerances' columns and of traces that are rememb
 ROUNDED = 256.0  # steps to which a number's mantissa (0.5 to 1) is rounded
 PART = 6  # candidates that are taken at a time
 BATCH = 16  # columns whose products are taken together
-PIECE = 4096  # samples of them at a time
 
 
 @dataclass(frozen=True)
@@ -69,6 +68,10 @@ class _Kept:
     def columns(self) -> np.ndarray:
         """(k, rows - first, K) whitened, from the first balance on."""
         return np.array([self.trace.whitening.white_from(band, self.first) for band in self.bands])
+
+    def columns_in(self, row: int) -> np.ndarray:
+        """(k, K) whitened, in one balance."""
+        return np.array([self.trace.whitening.white_in(band, row) for band in self.bands])
 
 
 @dataclass(frozen=True)
@@ -175,12 +178,9 @@ class Scanner:
         traces, width = tuple(kept.trace for kept in seen), [len(kept.bands) for kept in seen]
         ends = np.cumsum([0, *width])
         places = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
-        rows = sorted({int(row) for kept in seen for band in kept.bands for row in band.rows})
-        columns = np.zeros((int(ends[-1]), len(rows), current.problem.time.size), np.float32)
-        for kept, place in zip(seen, places, strict=True):
-            own = [k for k, row in enumerate(rows) if row >= kept.first]
-            columns[place, own] = kept.columns()[:, [rows[k] - kept.first for k in own]]
-        return Products(traces, places, *against.whole(columns, rows))
+        rows = range(min((kept.first for kept in seen), default=against.rows), against.rows)
+        by_row = ((row, np.concatenate([kept.columns_in(row) for kept in seen])) for row in rows)
+        return Products(traces, places, *against.whole(int(ends[-1]), by_row))
 
     def _score_batch(
         self, batch: Sequence[_Traced], against: Sequence[_Against], best: Sequence[dict[int, Scored]]
@@ -341,22 +341,19 @@ class _Against:
         """The effects on whose top a candidate's traces are taken, with rounded numbers."""
         return self.current.problem.balances.beside(self._rounded, candidate.planned({}))
 
-    def whole(self, columns: np.ndarray, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Projected curvature (n, n) and force (n,) of columns (n, rows, K) that change some balances, all
-        along the record, and their squares (n,) before they are projected."""
-        problem, count = self.current.problem, len(columns)
+    def whole(
+        self, count: int, by_row: Iterable[tuple[int, np.ndarray]]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Projected curvature (n, n) and force (n,) of so many columns, all along the record, and their
+        squares (n,) before they are projected; the columns (n, K) come balance by balance."""
+        problem, free = self.current.problem, len(self.free) - len(self.moved) - 1
         own, beside = np.zeros((count, count)), np.zeros((count, len(self.free)))
         plain = np.zeros((count, len(problem.nuisance)))
-        for start in range(0, columns.shape[2], PIECE):
-            s = slice(start, start + PIECE)
-            piece = columns[:, :, s].astype(float)
-            weighted = (piece * self.squares[rows, s]).reshape(count, -1)
-            own += weighted @ piece.reshape(count, -1).T
-            beside += weighted @ self.free[:, rows, s].reshape(len(self.free), -1).T
-            used = piece * problem.used[s]
-            for k, row in enumerate(rows):
-                plain += problem.by_row[row] * problem.across_part(used[:, k], row, s)
-        free = len(self.free) - len(self.moved) - 1
+        for row, columns in by_row:
+            weighted = columns * self.squares[row]
+            own += weighted @ columns.T
+            beside += weighted @ self.free[:, row].T
+            plain += problem.across_part(weighted, row, slice(None))
         plain[:, self.moved] = beside[:, free + 1 :]
         through = np.hstack([plain, beside[:, :free]])
         curvature = own - through @ cho_solve(self.factor, through.T)

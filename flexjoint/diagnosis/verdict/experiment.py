@@ -29,7 +29,10 @@ def advice(
         first = tied[0]
         rivals = ", ".join(_name(t.effect, t.joint) for t in first.indistinguishable)
         own = [name for name in lacking if name.endswith(f".{first.joint}")] or lacking
-        extra = f"measure {own[0]} too" if own else "repeat the motion with a known payload"
+        planned = (
+            "a motion that is made for it (flexjoint plan --diagnosis), or this one with a known payload"
+        )
+        extra = f"measure {own[0]} too" if own else planned
         return f"To tell {_name(first.effect, first.joint)} from {rivals}: {extra}."
     if left:
         # with a push in it, a recording shows what else there is only beside it
