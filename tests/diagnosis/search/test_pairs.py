@@ -23,6 +23,7 @@ from flexjoint.diagnosis.search.criteria import at_own_level
 from flexjoint.diagnosis.search.pairs import best_pairs, joint_pairs
 from flexjoint.diagnosis.search.rivals import Key
 from flexjoint.diagnosis.search.scan import Products, Scanner, bounds_of
+from flexjoint.diagnosis.search.selection import select
 from flexjoint.diagnosis.search.trials import at_noise
 from flexjoint.diagnosis.settings import USUAL
 from flexjoint.effects import catalogue
@@ -78,6 +79,21 @@ def test_two_that_each_leave_something_alone(tmp_path: Path) -> None:
         assert numbers[name] == pytest.approx(values, rel=0.01)  # standard errors are near 0.3 %
     for e in both.effects:
         assert refit_without(both, e).energy > 2.0 * both.energy
+
+
+def test_a_friction_that_falls_below_the_nominal_one(tmp_path: Path) -> None:
+    """As the joint warms up: less friction than nominal, and more that fades. What the model lists takes the
+    first part with numbers that are implausible, so that this is no pair but is found one by one."""
+    planted = {
+        "motor_coulomb_friction": {"level": 3.6},
+        "friction_drift": {"level": 2.4, "time_constant": 6.0},
+    }
+    here = problem(tmp_path, [Planted(name, "swing", values) for name, values in planted.items()], NOMINAL)
+    best = select(here, enumerate_candidates(here), lambda share, what: None).best
+    numbers = {e.effect.name: {k: float(v) for k, v in e.values.items()} for e in best.effects}
+    assert set(numbers) == set(planted)
+    for name, values in planted.items():
+        assert numbers[name] == pytest.approx(values, rel=0.01)  # standard errors are near 0.3 %
 
 
 def test_one_cause_is_no_pair(tmp_path: Path) -> None:
