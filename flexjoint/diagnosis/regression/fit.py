@@ -131,7 +131,10 @@ def fit(
     )
     point = _Point(list(effects), jacobian_of(problem, effects, slots), [list(effects)] * len(effects))
     if np.any(free & linear):
-        point = _descend(problem, point, slots, free, iterations, least, linear=free & linear)
+        ahead = _descend(problem, point, slots, free, iterations, least, linear=free & linear)
+        # along its derivatives a load may go too far: its weight is a product of its mass and its place
+        if _energy(problem, slots, ahead.effects) < _energy(problem, slots, point.effects):
+            point = ahead
     point = _descend(problem, point, slots, free, iterations, least)
     bent: np.ndarray | float = 0.0
     if any(entangles(e) for e in effects):  # the columns of nominal numbers depend on the fitted values
@@ -314,6 +317,10 @@ def _around(problem: Problem, effects: Sequence[Planned], e: Planned) -> list[Pl
     """The effects on which the change of the residual by an effect depends: all, where it does not act within
     its joint."""
     return problem.balances.beside(effects, e) if acts_within_a_joint(e) else list(effects)
+
+
+def _energy(problem: Problem, slots: Sequence[Slot], effects: Sequence[Planned]) -> float:
+    return problem.energy(problem.residual(effects)) + _prior(problem, slots, effects)
 
 
 def _followed(

@@ -62,6 +62,25 @@ def standard_errors(best: Fit) -> list[Errors]:
     return out
 
 
+def size_errors(best: Fit) -> list[Errors]:
+    """Per effect: standard errors of the components of its sizes (the numbers that are null where it is
+    absent) with its shape as it is fitted. Beside an uncertain shape a size is uncertain by itself, however
+    certain it is that there is something: a load's weight on a joint may be that of less mass on a longer
+    lever, and Wald's test of one number depends on which numbers describe a law (Gregory and Veall,
+    Econometrica 53, 1985)."""
+    spread, out = number_covariance(best), []
+    for k, e in enumerate(best.effects):
+        own = [j for j, slot in enumerate(best.slots) if slot.effect == k]
+        shape = np.array([j for j in own if best.slots[j].param.null is None], int)
+        errors: Errors = {p.name: [] for p in e.effect.nulls}
+        for j in own:
+            if best.slots[j].param.null is not None:
+                variance = float(_conditional(spread, np.array([j]), shape)[0, 0])
+                errors[best.slots[j].param.name].append(float(np.sqrt(max(variance, 0.0))))
+        out.append(errors)
+    return out
+
+
 def certainty(
     best: Fit, planned: Planned, spread: dict[str, list[float]], params: Sequence[Parameter] | None = None
 ) -> float:
