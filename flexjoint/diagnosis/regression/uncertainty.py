@@ -62,23 +62,37 @@ def standard_errors(best: Fit) -> list[Errors]:
     return out
 
 
-def size_errors(best: Fit) -> list[Errors]:
-    """Per effect: standard errors of the components of its sizes (the numbers that are null where it is
-    absent) with its shape as it is fitted. Beside an uncertain shape a size is uncertain by itself, however
-    certain it is that there is something: a load's weight on a joint may be that of less mass on a longer
-    lever, and Wald's test of one number depends on which numbers describe a law (Gregory and Veall,
-    Econometrica 53, 1985)."""
-    spread, out = number_covariance(best), []
+def certainties(best: Fit) -> np.ndarray:
+    """(k,) by how many standard errors each effect differs from its absence: the number that is furthest from
+    it, and of a load also the first moment that it adds to its link. A load's weight on a joint may be that
+    of less mass on a longer lever: it is certain where neither factor is, and Wald's test depends on which
+    numbers describe a law (Gregory and Veall, Econometrica 53, 1985)."""
+    spread, errors = number_covariance(best), standard_errors(best)
+    out = [certainty(best, e, own) for e, own in zip(best.effects, errors, strict=True)]
     for k, e in enumerate(best.effects):
-        own = [j for j, slot in enumerate(best.slots) if slot.effect == k]
-        shape = np.array([j for j in own if best.slots[j].param.null is None], int)
-        errors: Errors = {p.name: [] for p in e.effect.nulls}
-        for j in own:
-            if best.slots[j].param.null is not None:
-                variance = float(_conditional(spread, np.array([j]), shape)[0, 0])
-                errors[best.slots[j].param.name].append(float(np.sqrt(max(variance, 0.0))))
-        out.append(errors)
-    return out
+        if e.effect.overrides("edit_inertial"):
+            own = [j for j, slot in enumerate(best.slots) if slot.effect == k]
+            moments, change = _first_moments(best, k, own)
+            variances = np.diag(change @ spread[np.ix_(own, own)] @ change.T)
+            out[k] = max(out[k], float(np.max(np.abs(moments) / np.sqrt(np.maximum(variances, 1e-300)))))
+    return np.array(out)
+
+
+def _first_moments(best: Fit, k: int, own: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) first moments [kg m] that load k of a set adds, and (3, n) their derivatives by its n numbers, by
+    complex steps: the law is a polynomial."""
+
+    def added(numbers: Sequence[complex]) -> np.ndarray:
+        e = best.effects[k]
+        values: dict[str, list[complex]] = {p.name: [] for p in e.effect.params}
+        for j, number in zip(own, numbers, strict=True):
+            values[best.slots[j].param.name].append(number)
+        p = e.p._replace(**{n: v[0] if len(v) == 1 else tuple(v) for n, v in values.items()})
+        return np.array(e.effect.edit_inertial([0.0] * 10, p)[1:4])
+
+    here = [best.slots[j].get(best.effects) for j in own]
+    steps = np.eye(len(own)) * 1e-20j
+    return np.real(added(here)), np.array([added(here + step).imag for step in steps]).T / 1e-20
 
 
 def certainty(

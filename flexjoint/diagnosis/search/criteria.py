@@ -18,7 +18,7 @@ from flexjoint.diagnosis.regression.deviations import judged_energy
 from flexjoint.diagnosis.regression.fit import Fit, fit, fit_tried, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS, NominalNumber
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
-from flexjoint.diagnosis.regression.uncertainty import certainty, size_errors
+from flexjoint.diagnosis.regression.uncertainty import certainties
 from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Kind, Parameter, Planned, Site, catalogue
 from flexjoint.rigidbody.numeric import inertial_of
@@ -138,13 +138,9 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
 
 
 def known_sizes(result: Fit, least: float) -> tuple[np.ndarray, np.ndarray]:
-    """(k,) by how many standard errors each cause's numbers differ from those of no effect, and (k,) how many
-    its price asks for, `least` at least. Joints that have a cause in common tell together how large it is.
-    The errors are those beside the other causes and along its own shape, on which it does not depend whether
-    there is something: of a load whose weight on a joint is certain, its mass may be uncertain where its
-    place is."""
-    pairs = zip(result.effects, size_errors(result), strict=True)
-    certain = np.array([certainty(result, e, std) for e, std in pairs])
+    """(k,) by how many standard errors each cause differs from none, and (k,) how many its price asks for,
+    `least` at least. Joints that have a cause in common tell together how large it is."""
+    certain = certainties(result)
     price, again = np.array(prices(result)), repeated(result.effects, result.settings.search)
     for k in set(again.values()):
         joints = [k, *(other for other, first in again.items() if first == k)]

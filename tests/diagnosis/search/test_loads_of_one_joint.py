@@ -16,8 +16,12 @@ from support.diagnose_cases import as_recording
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
 from flexjoint.diagnosis.regression.problem import Problem
-from flexjoint.diagnosis.regression.uncertainty import size_errors, standard_errors
-from flexjoint.diagnosis.search.criteria import known_sizes
+from flexjoint.diagnosis.regression.uncertainty import (
+    certainties,
+    certainty,
+    number_covariance,
+    standard_errors,
+)
 from flexjoint.effects import Planned, effect
 from flexjoint.robot.robot import load
 
@@ -51,26 +55,33 @@ def moment(f: Fit) -> np.ndarray:
     return np.asarray(own.values["mass"] * np.array(own.values["position"]))
 
 
-def test_a_load_is_as_certain_as_the_energy_that_it_explains(folder: Path) -> None:
-    """The energy that a load explains with its place as it is, is quadratic in its mass: its root is the mass
-    in standard errors beside that place. Those of the mass alone also tell of the place, which may be nearer
-    or farther."""
+def test_a_load_is_as_certain_as_its_first_moment(folder: Path) -> None:
+    """Its weight on the joint is certain where its mass is not, which may be nearer or farther. The root of
+    the energy that a load explains is about its moment in standard errors, which are never below those that
+    noise gives, and above where what is left is not white."""
     loaded = fit(problem(folder, LOAD, motion="slow"), [LOAD])
     explained = refit_without(loaded, loaded.effects[0]).energy - loaded.energy
-    beside_place, alone = size_errors(loaded)[0]["mass"][0], standard_errors(loaded)[0]["mass"][0]
-    mass = loaded.effects[0].values["mass"]
-    # errors are never below what noise gives, and above where what is left is not white
-    assert 0.4 * explained < (mass / beside_place) ** 2 < 1.05 * explained
-    assert alone > 2.0 * beside_place
-    certain, _ = known_sizes(loaded, 0.0)
-    assert certain[0] == pytest.approx(mass / beside_place)
+    by_mass = certainty(loaded, loaded.effects[0], standard_errors(loaded)[0])
+    (certain,) = certainties(loaded)
+    assert certain > 1.3 * by_mass
+    assert 0.3 * explained < certain**2 < 1.05 * explained
 
 
-def test_errors_of_what_has_no_shape_are_the_same(folder: Path) -> None:
+def test_a_load_has_the_errors_of_its_moment_by_whatever_numbers(folder: Path) -> None:
+    """Delta method: twice the mass at half the lever, with the errors of those numbers, is as certain."""
+    loaded = fit(problem(folder, LOAD, motion="slow"), [LOAD])
+    spread, e = number_covariance(loaded), loaded.effects[0]
+    mass, place = e.values["mass"], np.array(e.values["position"])
+    by_number = np.vstack([place, mass * np.eye(3)]).T  # of the first moments
+    errors = np.sqrt(np.diag(by_number @ spread @ by_number.T))
+    assert certainties(loaded)[0] == pytest.approx(np.max(np.abs(mass * place) / errors), rel=1e-9)
+
+
+def test_other_causes_are_as_certain_as_their_numbers(folder: Path) -> None:
     fitted = fit(problem(folder, DRAG), [DRAG, INERTIA])
-    for sizes, every in zip(size_errors(fitted), standard_errors(fitted), strict=True):
-        for name, errors in sizes.items():
-            assert errors == pytest.approx(every[name], rel=1e-9)
+    errors = standard_errors(fitted)
+    each = [certainty(fitted, e, own) for e, own in zip(fitted.effects, errors, strict=True)]
+    assert certainties(fitted) == pytest.approx(each, rel=1e-12)
 
 
 @pytest.mark.parametrize("mass", [0.9, 20.0, 60.0])

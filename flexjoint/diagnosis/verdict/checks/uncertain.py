@@ -12,10 +12,10 @@ class UncertainSize(Check[Case]):
     name = "uncertain size"
     stage = "balances"
     reason = (
-        "The size of a cause must differ from that of no effect by as many standard errors, with its shape as"
-        " it is fitted, as its price in chi-square asks for; where the residual is not white, these errors"
-        " are larger than the curvature of a fit suggests, and the energy that it explains is worth less. A"
-        " cause that several joints have in common is one."
+        "The numbers of a cause must differ from those of no effect by as many standard errors as its price"
+        " in chi-square asks for, of a load its mass or its first moment; where the residual is not white,"
+        " these errors are larger than the curvature of a fit suggests, and the energy that it explains is"
+        " worth less. A cause that several joints have in common is one."
     )
 
     def limit(self, settings: Settings) -> float:
