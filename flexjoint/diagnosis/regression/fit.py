@@ -21,7 +21,7 @@ from flexjoint.diagnosis.regression.deviations import (
 from flexjoint.diagnosis.regression.nuisance import entangles
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.settings import RegressionSettings, Settings
-from flexjoint.effects import Parameter, Planned, Site
+from flexjoint.effects import Effect, Parameter, Planned, Site
 
 MOST_DAMPING = 1e8  # of a scaled step: with more damping no step lowers the energy
 RELATIVE_STEP = 1e-3  # of finite differences: well above rounding, well below a parameter's own scale
@@ -31,6 +31,7 @@ LEAST_VARIANCE = 1e-200  # of a number: what is less is rounding
 NOTHING = 1e-3  # of that gain: a step that promises less is none
 NEARLY_SAME = 0.5  # of the gain that a step promised in vain: one that promises more is nearly the same step
 SCALED = 4.0  # factor by which a step may change a scale: far from its place the energy is flat
+HALF = 0.5  # of a load's mass, below which a step along its moments is tried, too
 NEAR = 0.01  # relative change of a joint's numbers up to which its derivatives are not computed again
 
 
@@ -243,6 +244,12 @@ def _descend(
                 failed = promised
             trial_y = residual(trial)
             trial_energy = problem.energy(trial_y) + _prior(problem, slots, trial)
+            lighter = None if kept else _lighter(current, trial)
+            if lighter is not None:
+                lighter_y = residual(lighter)
+                lighter_energy = problem.energy(lighter_y) + _prior(problem, slots, lighter)
+                if not trial_energy <= lighter_energy:  # it may be infinite
+                    trial, trial_y, trial_energy = lighter, lighter_y, lighter_energy
             better = bool(np.isfinite(trial_energy)) and trial_energy < energy
             if not better:
                 damping *= 10.0
@@ -287,6 +294,33 @@ def _step(
     cut = bool(np.any(there != here + step))
     moved = there - here
     return trial, None if cut else float(-2.0 * slope @ moved - moved @ normal @ moved)
+
+
+def load_params(effect: Effect) -> tuple[Parameter, Parameter]:
+    """The parameters of a load's size and place."""
+    return effect.nulls[0], next(p for p in effect.params if p.size > 1)
+
+
+def _lighter(current: Sequence[Planned], trial: Sequence[Planned]) -> list[Planned] | None:
+    """A step by which loads lose more than half of their mass, along straight lines of their first moments
+    m r and of 1/m, in which the second moments (m r)^2 / m are linear; None where no load does. A joint feels
+    the moments: along a straight line of mass and place a heavy load near the axis would pass zero long
+    before it is a light one far from it."""
+    out, found = list(trial), False
+    for k, (before, after) in enumerate(zip(current, trial, strict=True)):
+        if not before.effect.overrides("edit_inertial"):
+            continue
+        size, place = load_params(before.effect)
+        mass, straight = before.values[size.name], after.values[size.name]
+        if mass == 0.0 or straight / mass >= HALF:
+            continue
+        found = True
+        at, to = (np.array(e.values[place.name]) for e in (before, after))
+        lighter = mass / (2.0 - straight / mass)
+        moments = mass * to + (straight - mass) * at
+        there = np.clip(moments / lighter, place.low, place.high)
+        out[k] = after.with_values({size.name: float(lighter), place.name: tuple(map(float, there))})
+    return out if found else None
 
 
 def jacobian_of(problem: Problem, effects: Sequence[Planned], slots: Sequence[Slot]) -> np.ndarray:

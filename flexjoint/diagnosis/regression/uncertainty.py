@@ -55,7 +55,11 @@ def _conditional(spread: np.ndarray, asked: np.ndarray, given: np.ndarray) -> np
 
 def standard_errors(best: Fit) -> list[Errors]:
     """Per effect: standard errors of each parameter's components."""
-    deviation = np.sqrt(np.maximum(np.diag(number_covariance(best)), 0.0))
+    return _errors(best, number_covariance(best))
+
+
+def _errors(best: Fit, spread: np.ndarray) -> list[Errors]:
+    deviation = np.sqrt(np.maximum(np.diag(spread), 0.0))
     out: list[Errors] = [{} for _ in best.effects]
     for slot, std in zip(best.slots, deviation, strict=True):
         out[slot.effect].setdefault(slot.param.name, []).append(float(std))
@@ -67,8 +71,9 @@ def certainties(best: Fit) -> np.ndarray:
     it, and of a load also the first moment that it adds to its link. A load's weight on a joint may be that
     of less mass on a longer lever: it is certain where neither factor is, and Wald's test depends on which
     numbers describe a law (Gregory and Veall, Econometrica 53, 1985)."""
-    spread, errors = number_covariance(best), standard_errors(best)
-    out = [certainty(best, e, own) for e, own in zip(best.effects, errors, strict=True)]
+    spread = number_covariance(best)
+    errors = zip(best.effects, _errors(best, spread), strict=True)
+    out = [certainty(best, e, own) for e, own in errors]
     for k, e in enumerate(best.effects):
         if e.effect.overrides("edit_inertial"):
             own = [j for j, slot in enumerate(best.slots) if slot.effect == k]

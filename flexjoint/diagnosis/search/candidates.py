@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from flexjoint.diagnosis.balances.balances import LINK, MOTOR, SPRING, acts_within_a_joint
+from flexjoint.diagnosis.regression.fit import load_params
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.whitening import Band, Whitening
 from flexjoint.diagnosis.search.ripples import ripples
@@ -297,7 +298,7 @@ def load_traces(problem: Problem, candidate: Candidate, y: np.ndarray) -> Iterat
     white, time = problem.whitening, problem.time
     moments = np.stack([white.white(problem.inertial_band(i, unit)) for unit in np.eye(10)])
     own = float(problem.motion.rigid.inertial[i, 0]) or 1.0
-    amplitude, shape = _load_params(candidate.effect)
+    amplitude, shape = load_params(candidate.effect)
     for share in problem.settings.search.later:
         later = time >= time[0] + share * (time[-1] - time[0])
         form = problem.normal((moments * later).reshape(10, -1), y)
@@ -308,14 +309,9 @@ def load_traces(problem: Problem, candidate: Candidate, y: np.ndarray) -> Iterat
         yield Trace(candidate, values, (band,), white, "whole", {amplitude.name: mass}, {amplitude.name: 0.0})
 
 
-def _load_params(effect: Effect) -> tuple[Parameter, Parameter]:
-    """The parameters of a load's size and place."""
-    return effect.nulls[0], next(p for p in effect.params if p.size > 1)
-
-
 def _inertial(candidate: Candidate, load: np.ndarray) -> np.ndarray:
     """(10, ...) inertial parameters of loads (4, ...): mass and place."""
-    amplitude, shape = _load_params(candidate.effect)
+    amplitude, shape = load_params(candidate.effect)
     p = candidate.planned({}).p._replace(**{amplitude.name: load[0], shape.name: tuple(load[1:])})
     return np.array(candidate.effect.edit_inertial([0.0 * load[0]] * 10, p))
 

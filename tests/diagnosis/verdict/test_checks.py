@@ -148,7 +148,7 @@ def test_a_cause_of_more_numbers_must_be_surer(monkeypatch: pytest.MonkeyPatch) 
     objected = []
     for sizes in (3.0, 5.0, 8.0):
         errors = [{"amplitude": [0.1 / sizes]}, {"level": [0.1 / sizes]}]
-        monkeypatch.setattr(uncertainty, "standard_errors", lambda _best, errors=errors: errors)
+        monkeypatch.setattr(uncertainty, "_errors", lambda _best, _spread, errors=errors: errors)
         objected.append([o.effect.effect.name for o in UncertainSize().objections(case)])
 
     assert objected == [["cogging"], ["cogging"], []]
