@@ -55,49 +55,11 @@ def _conditional(spread: np.ndarray, asked: np.ndarray, given: np.ndarray) -> np
 
 def standard_errors(best: Fit) -> list[Errors]:
     """Per effect: standard errors of each parameter's components."""
-    return _errors(best, number_covariance(best))
-
-
-def _errors(best: Fit, spread: np.ndarray) -> list[Errors]:
-    deviation = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    deviation = np.sqrt(np.maximum(np.diag(number_covariance(best)), 0.0))
     out: list[Errors] = [{} for _ in best.effects]
     for slot, std in zip(best.slots, deviation, strict=True):
         out[slot.effect].setdefault(slot.param.name, []).append(float(std))
     return out
-
-
-def certainties(best: Fit) -> np.ndarray:
-    """(k,) by how many standard errors each effect differs from its absence: the number that is furthest from
-    it, and of a load also the first moment that it adds to its link. A load's weight on a joint may be that
-    of less mass on a longer lever: it is certain where neither factor is, and Wald's test depends on which
-    numbers describe a law (Gregory and Veall, Econometrica 53, 1985)."""
-    spread = number_covariance(best)
-    errors = zip(best.effects, _errors(best, spread), strict=True)
-    out = [certainty(best, e, own) for e, own in errors]
-    for k, e in enumerate(best.effects):
-        if e.effect.overrides("edit_inertial"):
-            own = [j for j, slot in enumerate(best.slots) if slot.effect == k]
-            moments, change = _first_moments(best, k, own)
-            variances = np.diag(change @ spread[np.ix_(own, own)] @ change.T)
-            out[k] = max(out[k], float(np.max(np.abs(moments) / np.sqrt(np.maximum(variances, 1e-300)))))
-    return np.array(out)
-
-
-def _first_moments(best: Fit, k: int, own: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) first moments [kg m] that load k of a set adds, and (3, n) their derivatives by its n numbers, by
-    complex steps: the law is a polynomial."""
-
-    def added(numbers: Sequence[complex]) -> np.ndarray:
-        e = best.effects[k]
-        values: dict[str, list[complex]] = {p.name: [] for p in e.effect.params}
-        for j, number in zip(own, numbers, strict=True):
-            values[best.slots[j].param.name].append(number)
-        p = e.p._replace(**{n: v[0] if len(v) == 1 else tuple(v) for n, v in values.items()})
-        return np.array(e.effect.edit_inertial([0.0] * 10, p)[1:4])
-
-    here = [best.slots[j].get(best.effects) for j in own]
-    steps = np.eye(len(own)) * 1e-20j
-    return np.real(added(here)), np.array([added(here + step).imag for step in steps]).T / 1e-20
 
 
 def certainty(

@@ -18,7 +18,7 @@ from flexjoint.diagnosis.regression.deviations import judged_energy
 from flexjoint.diagnosis.regression.fit import Fit, fit, fit_tried, refit_without, shifts
 from flexjoint.diagnosis.regression.nuisance import NUMBERS, NominalNumber
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
-from flexjoint.diagnosis.regression.uncertainty import certainties
+from flexjoint.diagnosis.regression.uncertainty import certainty, standard_errors
 from flexjoint.diagnosis.settings import SearchSettings
 from flexjoint.effects import Kind, Parameter, Planned, Site, catalogue
 from flexjoint.rigidbody.numeric import inertial_of
@@ -138,9 +138,10 @@ def degenerate(problem: Problem, planned: Planned) -> bool:
 
 
 def known_sizes(result: Fit, least: float) -> tuple[np.ndarray, np.ndarray]:
-    """(k,) by how many standard errors each cause differs from none, and (k,) how many its price asks for,
-    `least` at least. Joints that have a cause in common tell together how large it is."""
-    certain = certainties(result)
+    """(k,) by how many standard errors each cause's numbers differ from those of no effect, and (k,) how many
+    its price asks for, `least` at least. Joints that have a cause in common tell together how large it is."""
+    pairs = zip(result.effects, standard_errors(result), strict=True)
+    certain = np.array([certainty(result, e, std) for e, std in pairs])
     price, again = np.array(prices(result)), repeated(result.effects, result.settings.search)
     for k in set(again.values()):
         joints = [k, *(other for other, first in again.items() if first == k)]

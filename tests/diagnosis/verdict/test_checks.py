@@ -11,10 +11,10 @@ from support.diagnose_cases import Case as Machine
 from support.diagnose_cases import as_recording, nominal
 
 from flexjoint.diagnosis.balances.balances import balances_of
-from flexjoint.diagnosis.regression import uncertainty
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Remaining
+from flexjoint.diagnosis.search import criteria
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection, nested
@@ -148,7 +148,7 @@ def test_a_cause_of_more_numbers_must_be_surer(monkeypatch: pytest.MonkeyPatch) 
     objected = []
     for sizes in (3.0, 5.0, 8.0):
         errors = [{"amplitude": [0.1 / sizes]}, {"level": [0.1 / sizes]}]
-        monkeypatch.setattr(uncertainty, "_errors", lambda _best, _spread, errors=errors: errors)
+        monkeypatch.setattr(criteria, "standard_errors", lambda _best, errors=errors: errors)
         objected.append([o.effect.effect.name for o in UncertainSize().objections(case)])
 
     assert objected == [["cogging"], ["cogging"], []]

@@ -13,9 +13,9 @@ class UncertainSize(Check[Case]):
     stage = "balances"
     reason = (
         "The numbers of a cause must differ from those of no effect by as many standard errors as its price"
-        " in chi-square asks for, of a load its mass or its first moment; where the residual is not white,"
-        " these errors are larger than the curvature of a fit suggests, and the energy that it explains is"
-        " worth less. A cause that several joints have in common is one."
+        " in chi-square asks for; where the residual is not white, these errors are larger than the curvature"
+        " of a fit suggests, and the energy that it explains is worth less. A cause that several"
+        " joints have in common is one."
     )
 
     def limit(self, settings: Settings) -> float:
