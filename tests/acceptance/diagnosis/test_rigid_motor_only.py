@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from planting import ROBOTS, Planted, plant
+from planting import Planted, plant
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording, summary
+from support.robots.rigid_lever import rigid_lever
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis, Finding, Fitted, Unexplained
@@ -31,14 +30,7 @@ SECONDS, RATE = 16.0, 250.0
 @pytest.fixture(scope="module")
 def rigid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The lever of the planting with a rigid joint, its damping known to 10 %."""
-    folder = tmp_path_factory.mktemp("rigid")
-    data = yaml.safe_load((ROBOTS / "lever.yaml").read_text())
-    data["joints"]["swing"] |= {"stiffness": float("inf"), "damping": 0.0, "kp": 600.0, "kd": 30.0}
-    data["tolerance"] = {"inertial": 0.02, "stiffness": 0.02, "damping": 0.1, "torque": 0.01}
-    shutil.copyfile(ROBOTS / "lever.urdf", folder / "lever.urdf")
-    path = folder / "lever_rigid.yaml"
-    path.write_text(yaml.safe_dump(data, sort_keys=False))
-    return path
+    return rigid_lever(tmp_path_factory.mktemp("rigid"))
 
 
 @cache

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from planting import ROBOTS, Planted, plant
+from planting import Planted, plant
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording
+from support.robots.rigid_lever import rigid_lever
 
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import Fit, fit, refit_without
@@ -29,12 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 def problem(folder: Path, *causes: Planned) -> Problem:
     """That of the lever with a rigid joint, motor encoder and current, under some causes."""
-    data = yaml.safe_load((ROBOTS / "lever.yaml").read_text())
-    data["joints"]["swing"] |= {"stiffness": float("inf"), "damping": 0.0, "kp": 600.0, "kd": 30.0}
-    data["tolerance"] = {"inertial": 0.01, "stiffness": 0.01, "damping": 0.05, "torque": 0.01}
-    shutil.copyfile(ROBOTS / "lever.urdf", folder / "lever.urdf")
-    path = folder / "lever_rigid.yaml"
-    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    path = rigid_lever(folder)
     planted = [Planted(e.effect.name, e.joint, dict(e.values)) for e in causes]
     sensors = SensorSet(channels=("theta", "tau_motor"))
     recorded = plant(path, planted, "rich", 12.0, 5, sensors, rate=250.0)

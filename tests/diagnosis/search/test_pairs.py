@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import itertools
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from planting import ROBOTS, Planted, plant
 from planting.machine.sensing import SensorSet
 from scipy.optimize import minimize
 from support.diagnose_cases import as_recording
+from support.robots.rigid_lever import rigid_lever
 
 from flexjoint.core.running.worker_pool import worker_pool
 from flexjoint.diagnosis.balances.balances import balances_of
@@ -34,17 +33,11 @@ NOMINAL = 6.0  # N m, Coulomb friction that the model lists
 
 def robot_of(folder: Path, *listed: float) -> Path:
     """The lever of the planting with a rigid joint, whose model lists friction of these levels [N m]."""
-    data = yaml.safe_load((ROBOTS / "lever.yaml").read_text())
-    data["joints"]["swing"] |= {"stiffness": float("inf"), "damping": 0.0, "kp": 600.0, "kd": 30.0}
-    data["tolerance"] = {"inertial": 0.02, "stiffness": 0.02, "damping": 0.1, "torque": 0.01}
-    data["effects"] = [
+    effects = [
         {"effect": "motor_coulomb_friction", "joint": "swing", "level": level, "nominal": True}
         for level in listed
     ]
-    shutil.copyfile(ROBOTS / "lever.urdf", folder / "lever.urdf")
-    path = folder / f"lever_{len(listed)}.yaml"
-    path.write_text(yaml.safe_dump(data, sort_keys=False))
-    return path
+    return rigid_lever(folder, effects, f"lever_{len(listed)}")
 
 
 def problem(folder: Path, causes: list[Planted], *listed: float) -> Problem:
