@@ -207,6 +207,11 @@ class Effect:
         non-linear parameters. One empty dict: a law linear in all its parameters needs no start."""
         return ({},)
 
+    def largest(self, s: Signals) -> Mapping[str, float]:
+        """What parameters, by name, can be at most on a joint with these measured signals (arrays), where
+        that is less than their own bound."""
+        return {}
+
     # --- derived ---------------------------------------------------------------------------------
     @property
     def name(self) -> str:

@@ -133,7 +133,7 @@ def test_causes_are_named_with_numbers_and_ties(pages):
         "4.3 % of the spring balance's squared error at elbow is left; it depends most on motor position",
         "End stop: whole robot",
         "Cable spring: elbow",
-        "payload at elbow: 0.008 kg",
+        "payload at elbow: +0.008 kg",
         "Next experiment: hold the elbow still for 2 s between moves",
         "Encoder offsets were estimated on the first 0.5 s.",
         "motor viscous friction at elbow",

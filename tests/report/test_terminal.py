@@ -118,7 +118,7 @@ def test_everything_that_was_found_is_said():
         "2 more channels",
         "4.0 % of the spring balance's squared error at elbow is left; it depends most on motor position",
         "Not excited, so nothing is said of end stop (elbow, a).",
-        "payload at elbow 0.008 kg",
+        "payload at elbow +0.008 kg",
         "Encoder offsets were estimated.",
     ):
         assert said in text, said
@@ -175,9 +175,22 @@ def test_most_of_an_error_may_be_numbers_within_their_tolerances():
         comparison=CAUSES.comparison,
     )
     text = words(covered)
-    assert "account for 90 % of the torque error at elbow (motor viscous friction 3.2 N m s/rad)." in text
+    assert "account for 90 % of the torque error at elbow (motor viscous friction +3.2 N m s/rad)." in text
     assert "of the signals' standard deviation" in text and "with the nominal numbers as they are." in text
     assert "nothing that was tried removes it" not in text and "The simulation is wrong" not in text
+
+
+def test_friction_within_its_tolerance_is_no_law_without_a_name():
+    """What is left is counted beside the friction that a model claims, which may be off."""
+    left = d.Remaining("elbow", 10.0, 4.0, 3.8, 0.2, 3.5, "dtheta")
+    off = d.WithinTolerance("motor_coulomb_friction", "elbow", -3.4)
+    partial = replace(UNEXPLAINED, findings=(backlash(),), comparison=CAUSES.comparison, remaining=(left,))
+    assert "by a law that no named cause has" in words(partial)
+    told = words(replace(partial, within_tolerance=(off,)))
+    assert "as friction does that is off by no more than its tolerance (motor Coulomb friction -3.4" in told
+    assert "no named cause" not in told
+    of_position = replace(partial, within_tolerance=(off,), remaining=(replace(left, against="theta"),))
+    assert "by a law that no named cause has" in words(of_position)
 
 
 def test_found_but_not_all_of_it_says_what_was_found_first_and_what_is_left_second():

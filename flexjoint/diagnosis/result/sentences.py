@@ -25,7 +25,7 @@ from flexjoint.diagnosis.result.wording import (
     with_unit,
 )
 from flexjoint.diagnosis.settings import USUAL
-from flexjoint.effects import Kind
+from flexjoint.effects import Kind, catalogue
 
 AS_NOISE = 1.1  # times noise: it is predicted no better
 MOST_PAIRS = 3  # of them that are named
@@ -281,17 +281,32 @@ def _nothing_named(diagnosis: Result) -> str:
         where = f" at {clean(max(diagnosis.unexplained, key=lambda u: u.share).joint)}"
     if worst is None or not _mostly_tolerances(worst):
         return f"The simulation is wrong{where}, and no effect of the catalogue accounts for it."
-    off = [
-        f"{effect_name(w.effect)} {deviation(w.effect, w.value, w.joint in diagnosis.prismatic)}"
-        for w in diagnosis.within_tolerance
-        if w.joint == worst.joint
-    ]
+    off = _within_tolerance(diagnosis, worst.joint)
     numbers = f" ({listed(off)})" if off else ""
     gone = percent(1.0 - worst.after / worst.before)
     return (
         f"Nominal numbers within their tolerances account for {gone} of the torque error{where}{numbers}. For"
         " what is left no effect of the catalogue accounts."
     )
+
+
+def _within_tolerance(diagnosis: Result, joint: str, ordinary: bool = False) -> list[str]:
+    """Numbers of a joint that are off by less than their tolerance; of `ordinary` friction alone."""
+    known = catalogue()
+    return [
+        f"{effect_name(w.effect)} {deviation(w.effect, w.value, w.joint in diagnosis.prismatic)}"
+        for w in diagnosis.within_tolerance
+        if w.joint == joint and (not ordinary or (w.effect in known and known[w.effect].ordinary))
+    ]
+
+
+def _by_which_law(diagnosis: Result, left: Remaining) -> str:
+    """The law by which what is left of a joint follows a signal. What is left is counted beside the friction
+    that the model claims, and that may be off."""
+    friction = _within_tolerance(diagnosis, left.joint, ordinary=True)
+    if friction and left.against in ("dq", "dtheta"):
+        return f"as friction does that is off by no more than its tolerance ({listed(friction)})"
+    return f"by a law that {'no named cause has' if diagnosis.findings else 'no effect of the catalogue has'}"
 
 
 def _mostly_tolerances(joint: Remaining) -> bool:
@@ -314,10 +329,9 @@ def _left(diagnosis: Result, joints: Joints) -> tuple[str, ...]:
         lines.append(_of_joint(most, joints, "are left at", "Most, for its torque: "))
     shape = torque.shaped(remaining)
     if shape is not None:
-        law = "no named cause has" if diagnosis.findings else "no effect of the catalogue has"
         lines.append(
             f"Of what is left at {clean(shape.joint)}, {joints.torque(shape.joint, shape.structured)} follow"
-            f" {joints.signal(shape.against)}, by a law that {law}."
+            f" {joints.signal(shape.against)}, {_by_which_law(diagnosis, shape)}."
         )
     elif diagnosis.verdict == "unexplained" and not pushes(diagnosis, joints):
         lines.append(f"What is left at {clean(most.joint)} follows no single signal.")

@@ -198,11 +198,13 @@ def values(effect: str, given: Mapping[str, Any], prismatic: bool = False) -> st
 
 
 def deviation(effect: str, value: float, prismatic: bool = False) -> str:
-    """The size of an effect: a scale reads as a percentage, anything else in the unit of its amplitude."""
+    """By how much an effect's number is off: a scale reads as a percentage, anything else in the unit of its
+    amplitude."""
     known = catalogue().get(effect)
     if known is not None and known.kind == Kind.PARAMETER:
         return f"{100 * value:+.2g} %"
-    return with_unit(number(value), known.params[0].unit_at(prismatic) if known and known.params else "")
+    text = f"{'+' if value > 0.0 else ''}{number(value)}"
+    return with_unit(text, known.params[0].unit_at(prismatic) if known and known.params else "")
 
 
 def when(finding: Finding) -> str:

@@ -104,18 +104,19 @@ def same_level(one: NoiseLevel, other: NoiseLevel) -> bool:
 def degenerate(problem: Problem, planned: Planned) -> bool:
     """Whether the fitted numbers of an effect mean nothing: its size is zero, or that of one of the effects
     of which it is made, or it is what the nominal model lists; a shape parameter is at its bound or below
-    what the sensors resolve, so that a simpler law does the same; its size is at the upper bound; it is a
-    friction in one direction and none in the other (an offset larger than friction looks so); it is a load
-    with which what the joint carries weighs less than nothing; it is a torque that repeats, of which too
-    little of a period was seen, as any smooth torque looks so; or its torque is far above both the torques of
-    its joint and the torque that it shows in any balance (a peak of friction below the speeds that the data
-    resolve)."""
+    what the sensors resolve, so that a simpler law does the same; its size is at the upper bound, or one of
+    its numbers beyond what its joint can have (`Effect.largest`); it is a friction in one direction and none
+    in the other (an offset larger than friction looks so); it is a load with which what the joint carries
+    weighs less than nothing; it is a torque that repeats, of which too little of a period was seen, as any
+    smooth torque looks so; or its torque is far above both the torques of its joint and the torque that it
+    shows in any balance (a peak of friction below the speeds that the data resolve)."""
     limits = problem.settings.search
     sizes = [(planned.values[p.name], p) for p in planned.effect.nulls]
     listed = next((e for e in problem.nominal if e.key == planned.key), None)
     if _is_as(planned, listed.values) if listed else any(_absent(part) for part in planned.parts):
         return True
-    if any(np.any(np.isclose(size, p.high, rtol=limits.at_bound, atol=0.0)) for size, p in sizes):
+    at_most = any(np.any(np.isclose(size, p.high, rtol=limits.at_bound, atol=0.0)) for size, p in sizes)
+    if at_most or _beyond_its_joint(problem, planned):
         return True
     one_way = any(size == p.low for size, p in sizes if p.name in planned.effect.alike)
     if one_way and planned.effect.overrides("level"):
@@ -185,6 +186,12 @@ def _is_as(planned: Planned, values: Mapping[str, Any]) -> bool:
     return all(
         np.all(np.ravel(planned.values[p.name]) == np.ravel(values[p.name])) for p in planned.effect.nulls
     )
+
+
+def _beyond_its_joint(problem: Problem, planned: Planned) -> bool:
+    """Whether a number of an effect is more than a joint with these signals can have."""
+    largest = planned.effect.largest(problem.signals(planned.joint))
+    return any(planned.values[name] > most for name, most in largest.items())
 
 
 def _weightless(problem: Problem, planned: Planned) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from flexjoint.diagnosis.regression.fit import Fit, fit
+from flexjoint.diagnosis.regression.nuisance import NominalNumber
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors, standard_errors
 from flexjoint.diagnosis.result import Finding, Fitted, Ranked, WithinTolerance
@@ -225,18 +226,17 @@ def _hidden_by_refit(selection: Selection, k: int) -> bool:
 
 def within_tolerance(best: Fit) -> tuple[WithinTolerance, ...]:
     """Nominal numbers that the data show to deviate by less than would make them a cause."""
-    return tuple(
-        shown for shown, deviations in _off(best) if abs(deviations) <= best.settings.verdict.believed
-    )
+    return tuple(off.shown for off in _off(best) if off.believed)
 
 
 def not_believed(best: Fit) -> tuple[str, ...]:
-    """Notes on nominal numbers that would have to deviate implausibly far: something else is wrong there."""
+    """Notes on nominal numbers that would have to deviate implausibly far: something else is wrong there. Of
+    friction that the model claims any deviation is plausible."""
     return tuple(
-        f"{shown.effect} on {shown.joint} would have to be off by {deviations:+.1f} times its tolerance to"
-        " make the balances smaller: this is not plausible, so something else is wrong there"
-        for shown, deviations in _off(best)
-        if abs(deviations) > best.settings.verdict.believed
+        f"{off.shown.effect} on {off.shown.joint} would have to be off by {off.deviations:+.1f} times its"
+        " tolerance to make the balances smaller: this is not plausible, so something else is wrong there"
+        for off in _off(best)
+        if not (off.believed or off.number.claims_friction)
     )
 
 
@@ -263,11 +263,22 @@ def to_state(best: Fit, found: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
-    """Actuators' numbers that the data show to deviate, and by how many prior deviations."""
+@dataclass(frozen=True)
+class _Off:
+    """A nominal number that the data show to deviate, and by how many prior deviations."""
+
+    number: NominalNumber
+    shown: WithinTolerance
+    deviations: float
+    believed: bool
+
+
+def _off(best: Fit) -> list[_Off]:
+    """Those of actuators and of the ordinary friction that the model claims."""
     problem = best.problem
     pull, error = -problem.deviations(best.y), problem.deviation_errors()
     found, limits = {e.key for e in best.effects}, best.settings.verdict
+    claimed = {e.key: e for e in problem.robot.effects}
     out = []
     for number, value, std in zip(problem.nuisance, pull, error, strict=True):
         if (
@@ -280,9 +291,12 @@ def _off(best: Fit) -> list[tuple[WithinTolerance, float]]:
         name = number.name
         if name == "motor_damping":
             name, change = "motor_viscous_friction", change * problem.robot.joint(number.joint).drive.D_m
+        elif number.claims_friction:
+            change *= claimed[name, number.joint].values[number.of]
         elif name not in ("spring_stiffness", "spring_damping", "motor_inertia"):
             continue
-        out.append((WithinTolerance(name, number.joint, change), float(value)))
+        shown = WithinTolerance(name, number.joint, change)
+        out.append(_Off(number, shown, float(value), abs(value) <= limits.believed))
     return out
 
 

@@ -15,6 +15,7 @@ from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances, balances_
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.search.candidates import enumerate_candidates
+from flexjoint.diagnosis.search.criteria import degenerate
 from flexjoint.diagnosis.search.scan import Scanner
 from flexjoint.effects import Planned, effect
 from flexjoint.recording.table import Recording
@@ -128,3 +129,17 @@ def test_nearly_no_compliance_is_judged_as_none(seed: int) -> None:
     bent = effect("joint_compliance", "swing", compliance=1e-6, relaxation=3e-3)
     without, beside = fit(problem, []), fit(problem, [bent], iterations=0)
     assert beside.energy == pytest.approx(without.energy, abs=2.0)
+
+
+def test_a_joint_softer_than_any_means_nothing(balances: TwinBalances) -> None:
+    """A link that weighs next to nothing resonates with any spring that is soft enough."""
+    problem = Problem(balances)
+    signals = problem.signals("swing")
+    torque = float(np.sqrt(np.mean(np.square(signals.tau_m))))
+    soft, softest = (effect("joint_compliance", "swing", compliance=bent / torque) for bent in (0.2, 0.4))
+    most = soft.effect.largest(signals)["compliance"]
+
+    assert degenerate(problem, softest) and not degenerate(problem, soft)
+    light = replace(signals, tau_t=1e-6 * np.asarray(signals.tau_t))
+    for here in (signals, light):
+        assert all(start["compliance"] <= most for start in soft.effect.starts(here))
