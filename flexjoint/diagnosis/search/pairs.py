@@ -2,8 +2,11 @@
 
 A search that adds one cause at a time stops where each of two takes too little by itself to be told from what
 else may be wrong: a late torque, where friction also gives way before it slips. So once no single cause is
-found, each joint of which a balance is wrong is looked at two causes ahead. What two effects remove together
-follows, to first order, from the products of their traces alone; only the best pairs are fitted.
+found, each joint of which a balance is wrong is looked at two causes ahead. An effect that was found first
+may have taken numbers with which it also explains what another one is there for (a gap that also explains an
+offset to one side), from which no fit leads away: in the end two causes are looked for in the place of one,
+that one among them. What two effects remove together follows, to first order, from the products of their
+traces alone; only the best pairs are fitted.
 """
 
 from __future__ import annotations
@@ -17,8 +20,9 @@ from scipy.optimize import lsq_linear
 
 from flexjoint.core.running.budget import checkpoint
 from flexjoint.core.running.worker_pool import WorkerPool
+from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, refit_without
-from flexjoint.diagnosis.search.criteria import at_own_level, only_by_implausible, supported
+from flexjoint.diagnosis.search.criteria import at_own_level, makes_room, only_by_implausible, supported
 from flexjoint.diagnosis.search.rivals import Key
 from flexjoint.diagnosis.search.scan import RIDGE, Products, Scanner, bounds_of
 from flexjoint.diagnosis.search.trials import (
@@ -56,12 +60,27 @@ def joint_pairs(best: Fit, bare: Fit, joints: Sequence[str], scanner: Scanner, p
     return [f for f in tried if f is not None]
 
 
+def pairs_instead(
+    best: Fit, bare: Fit, joints: Sequence[str], scanner: Scanner, pool: WorkerPool
+) -> list[Fit]:
+    """As `joint_pairs`, each pair in the place of one of the causes of its joint."""
+    most = best.settings.search.most_on_joint
+    room = {joint for joint in joints if sum(e.joint == joint for e in best.effects) < most}
+    tasks = [
+        (best, refit_without(bare, e), str(e.joint), scanner)
+        for e in bare.effects
+        if e.joint in room and acts_within_a_joint(e) and not makes_room(e, bare)
+    ]
+    return [f for f in pool.map(_tried, tasks) if f is not None]
+
+
 def _tried(task: tuple[Fit, Fit, str, Scanner]) -> Fit | None:
     """The pair of causes of a joint that clears most of what is wrong with it, at the noise level that it
     leaves; None where none clears enough there, or has two causes of which each is supported beside the
     other."""
     best, bare, joint, scanner = task
     limits = best.settings.search
+    implausible = best.problem.level.implausible > 1.0
     trials: list[tuple[float, frozenset[Key], Fit]] = []
     for pair in best_pairs(scanner.products(bare, joint), limits.paired, limits):
         checkpoint()
@@ -70,13 +89,16 @@ def _tried(task: tuple[Fit, Fit, str, Scanner]) -> Fit | None:
         )
         if trial is not None:
             trials.append(
-                (cleared(best, bare.problem.variances(trial.y), _new(best, trial)), pair.keys, trial)
+                (cleared(best, bare.problem.variances(trial.y), _new(bare, trial)), pair.keys, trial)
             )
     for share, keys, trial in sorted(trials, key=lambda one: -one[0]):
-        if share < np.log(limits.cleared):
+        if share < np.log(limits.cleared) and not implausible:
             break
         both = at_own_level(trial, trial.effects[-1])
-        if not clears(best, judged_levels(best, both), _new(best, both)) or only_by_implausible(both, best):
+        relieved = implausible and both.problem.level.implausible <= 1.0
+        if not relieved and not clears(best, judged_levels(best, both), _new(bare, both)):
+            continue
+        if only_by_implausible(both, best):
             continue
         causes = [e for e in both.effects if e.key in keys]
         if all(supported(both, refit_without(both, e), e) for e in causes):
@@ -84,9 +106,9 @@ def _tried(task: tuple[Fit, Fit, str, Scanner]) -> Fit | None:
     return None
 
 
-def _new(best: Fit, larger: Fit) -> np.ndarray:
+def _new(bare: Fit, larger: Fit) -> np.ndarray:
     """(rows,) bool: the balances that the effects change that a larger set has at its end."""
-    return marked(larger, len(larger.effects) - len(best.effects))
+    return marked(larger, len(larger.effects) - len(bare.effects))
 
 
 def best_pairs(products: Products, count: int, settings: SearchSettings) -> list[Pair]:

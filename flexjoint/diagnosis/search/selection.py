@@ -30,12 +30,11 @@ from flexjoint.diagnosis.search.criteria import (
     unexplained_energy,
 )
 from flexjoint.diagnosis.search.history import steps_between
-from flexjoint.diagnosis.search.pairs import joint_pairs
+from flexjoint.diagnosis.search.pairs import joint_pairs, pairs_instead
 from flexjoint.diagnosis.search.rivals import Key, Rivals
 from flexjoint.diagnosis.search.scan import Scanner, Scored
 from flexjoint.diagnosis.search.trials import (
     at_noise,
-    beside_rivals,
     date_onset,
     ends_lower,
     larger_sets,
@@ -212,13 +211,13 @@ def _look(found: _Found, search: Search, report: Progress) -> None:
         if _keys(found.best) not in found.seen | {_keys(before)}:
             found.seen.add(_keys(found.best))
             continue
-        best = found.best
-        rivals = [found.rivals[e.key] for e in best.effects]
-        pairs = beside_rivals(best, rivals, search.scanner.candidates, search.pool)
-        if pairs and len(best.effects) < most_effects(best.problem):
-            pair = prune(choose(pairs), search.pool)
-            if _keys(pair) not in found.seen and _still_better(pair, best):
-                found.takes(pair, "pair with a rival", "the pair clears what was wrong")
+        best, bare = found.best, at_noise(found.best)
+        if bare is not None and len(best.effects) < most_effects(best.problem):
+            joints = wrong_joints(best)
+            pairs = on_one_level(pairs_instead(best, bare, joints, search.scanner, search.pool), search.pool)
+            pair = prune(choose(pairs), search.pool) if pairs else best
+            if pairs and _keys(pair) not in found.seen and _still_better(pair, best):
+                found.takes(pair, "pair instead", "the pair clears what was wrong")
                 found.seen.add(_keys(pair))
                 continue
         if len(places) < len(best.effects):  # in the end the rivals of all effects are those of the final set

@@ -20,7 +20,6 @@ from flexjoint.diagnosis.search.criteria import (
     at_own_level,
     changed_balances,
     degenerate,
-    needs_implausible,
     only_by_implausible,
     same_level,
     score,
@@ -28,7 +27,7 @@ from flexjoint.diagnosis.search.criteria import (
     torque_shares,
 )
 from flexjoint.diagnosis.search.dating import date_onset, switched
-from flexjoint.diagnosis.search.scan import Scanner, Scored
+from flexjoint.diagnosis.search.scan import Scored
 from flexjoint.effects import Kind, Planned
 
 
@@ -194,59 +193,6 @@ def on_all_joints(best: Fit, candidates: Sequence[Candidate]) -> list[Fit]:
 
 def _words(planned: Planned) -> tuple[object, ...]:
     return tuple(planned.values.get(w.name) for w in planned.effect.words)
-
-
-def beside_rivals(
-    best: Fit, rivals: Sequence[Sequence[Fit]], candidates: Sequence[Candidate], pool: WorkerPool
-) -> list[Fit]:
-    """Where `best` leaves balances wrong: sets that hold an effect together with one of its rivals.
-
-    An effect that was found first may have taken numbers with which it also explains what its rival is there
-    for (a gap that also explains an offset to one side), and no fit leads away from these numbers. So the
-    rival takes the place of the effect, and the effect is looked for again beside it. If the rival is a
-    special case of the effect, or fits as well as it, all other candidates on the joint are tried beside the
-    rival, too (Coulomb friction and an offset instead of a friction with two levels)."""
-    names, tasks = wrong_joints(best), []
-    for effect, fits in zip(best.effects, rivals, strict=True):
-        if not names or (acts_within_a_joint(effect) and effect.joint not in names):
-            continue
-        own = tuple(c for c in candidates if c.key == effect.key)
-        others = tuple(c for c in candidates if c.joint == effect.joint and c.key != effect.key)
-        for rival in fits:
-            beside = others if _narrower(rival, effect) else own
-            # of two that fit equally well either may have come first, and a further cause may be visible
-            # beside one of them only
-            equal = score(rival) - score(best) <= best.settings.verdict.tie
-            tasks.append((best, rival, (*own, *others) if equal else beside))
-    return on_one_level([f for f in pool.map(_beside, tasks) if f is not None], pool)
-
-
-def _narrower(rival: Fit, effect: Planned) -> bool:
-    """Whether a rival's effect is a special case of an effect."""
-    added = rival.effects[-1]
-    return added.joint == effect.joint and added.effect.name in effect.effect.contains
-
-
-def _beside(task: tuple[Fit, Fit, Sequence[Candidate]]) -> Fit | None:
-    """The rival's set with the best of some candidates added, at its own noise level, if it removes most of
-    what is wrong in `best`, or if it replaces a law that needs implausible nominal numbers by two simpler
-    ones."""
-    best, rival, candidates = task
-    scored = Scanner(candidates).scan(rival)
-    if not scored or not might_clear(best, rival, [scored[0].planned()], scored[0].removes):
-        return None
-    trial = added_to(rival, scored[0])
-    if trial is None:
-        return None
-    # one law may imitate two causes with the help of nominal numbers that are far off
-    apart = needs_implausible(best, trial) and any(_narrower(rival, e) for e in best.effects)
-    if not apart and not clears(best, trial.problem.variances(trial.y), marked(trial, 2)):
-        return None
-    refitted = at_own_level(trial)
-    without = fit(refitted.problem, best.effects)
-    if apart:
-        return refitted if score(refitted) < score(without) else None
-    return refitted if supported(refitted, without, refitted.effects[len(rival.effects) - 1]) else None
 
 
 def might_clear(best: Fit, rival: Fit, added: Sequence[Planned], removes: float) -> bool:
