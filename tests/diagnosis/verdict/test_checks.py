@@ -17,7 +17,8 @@ from flexjoint.diagnosis.result import Remaining
 from flexjoint.diagnosis.search import criteria
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict.cases import Case
-from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection, nested
+from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection, cancelling, nested
+from flexjoint.diagnosis.verdict.checks.cancelling import CancelsWithNumbers
 from flexjoint.diagnosis.verdict.checks.nested import BesideItsSpecialCase
 from flexjoint.diagnosis.verdict.checks.standing import FrictionAtRest
 from flexjoint.diagnosis.verdict.checks.uncertain import UncertainSize
@@ -90,6 +91,31 @@ def test_a_law_beside_its_special_case_must_add_more_than_small_errors(
 
     found = [o.effect for o in BesideItsSpecialCase().objections(case)]
     assert found == ([laws[1]] if objects else [])
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "times", "objected"),
+    [
+        ((0.001, 0.9), (4.6, 0.1), [0]),  # far worse with it, beside the numbers as they are
+        ((0.001, 0.9), (1.2, 0.1), []),  # hardly worse: numbers may be off within their tolerances
+        ((0.9, 0.001), (4.6, 0.1), []),  # it is likely all the same
+        ((0.001, 0.002), (2.0, 4.6), [1]),  # the worst one first: without it the other may be right
+    ],
+)
+def test_what_cancels_with_nominal_numbers_is_not_left_in_the_set(
+    probabilities: tuple[float, float],
+    times: tuple[float, float],
+    objected: list[int],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A page would tell of a machine that its model explains worse after the diagnosis than before."""
+    effects = (effect("asymmetric_friction", "elbow", level_positive=1.0, level_negative=2.0), OFFSET)
+    monkeypatch.setattr(cancelling, "spoiling", lambda _data, k: times[k])
+    named = [SimpleNamespace(planned=e, probability=p) for e, p in zip(effects, probabilities, strict=True)]
+    best = SimpleNamespace(effects=effects, settings=USUAL)
+    case: Any = SimpleNamespace(selection=SimpleNamespace(best=best), named=named, unseen=None)
+
+    assert [effects.index(o.effect) for o in CancelsWithNumbers().objections(case)] == objected
 
 
 def test_a_set_that_was_changed_is_asked_again_from_the_first_check_on() -> None:

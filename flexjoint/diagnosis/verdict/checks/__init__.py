@@ -7,6 +7,7 @@ from typing import Any
 from flexjoint.diagnosis.verdict.cases import Case, SimulatedCase, StatedCase
 from flexjoint.diagnosis.verdict.checks._base import Check, Objection
 from flexjoint.diagnosis.verdict.checks.absent import AbsentOnTheSimulation
+from flexjoint.diagnosis.verdict.checks.cancelling import CancelsWithNumbers
 from flexjoint.diagnosis.verdict.checks.contradicted import ContradictedByABalance
 from flexjoint.diagnosis.verdict.checks.finer import FinerThanKnown
 from flexjoint.diagnosis.verdict.checks.improbable import Improbable
@@ -24,6 +25,7 @@ FINDINGS: tuple[Check[StatedCase], ...] = (
     FrictionAtRest(),
     BesideItsSpecialCase(),
     Improbable(),
+    CancelsWithNumbers(),
     AbsentOnTheSimulation(),
     FinerThanKnown(),
 )

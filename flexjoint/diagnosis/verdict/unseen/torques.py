@@ -339,15 +339,20 @@ def spoils(data: Unseen, k: int) -> bool:
     """Whether cause k of a set makes its joint's torque far worse with the nominal numbers as they are, which
     an extended model has. A wrong cause may explain an error together with nominal numbers that are all off:
     with half the torque, half the inertia and half the friction as well, little is left."""
+    return spoiling(data, k) > data.views[1].problem.settings.verdict.spoilt
+
+
+def spoiling(data: Unseen, k: int) -> float:
+    """How many times as much is left of a joint's torque with cause k of a set as without it, with the
+    nominal numbers as they are; 0 of a cause that does not act through the torque of a joint."""
     planned, view = data.effects[k], data.views[1]
     if planned.joint is None or planned.effect.site not in THROUGH_TORQUE:
-        return False
+        return 0.0
     j = view.problem.robot.joint_names.index(planned.joint)
     without, left = (_total(view.problem.balances, x, j) for x in (view.without[k], view.after))
     if without is None or left is None:
-        return False
-    worse = view.problem.settings.verdict.spoilt
-    return float(np.std(left[view.away])) > worse * float(np.std(without[view.away]))
+        return 0.0
+    return float(np.std(left[view.away])) / max(float(np.std(without[view.away])), 1e-300)
 
 
 # ------------------------------------------------------------------ joints
