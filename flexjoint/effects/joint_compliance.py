@@ -14,8 +14,8 @@ from flexjoint.effects._starts import grid
 # motion's frequency to the resonance's
 SHARES = (3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3)
 RELAXATION = 2e-3  # s: at a resonance of 10 Hz, a damping ratio of 6 %
-# rad: no joint bends so far under the torque (RMS) of its own motor. The softest series elastic ones of the
-# shipped robots bend by 0.1. Where a link weighs nothing, a spring far softer than that resonates with it.
+# rad: no joint bends so far under the torque (RMS) of its own motor. It is ten times what the series elastic
+# joints assumed of the shipped UR5 do at their limit. A link without weight resonates with softer ones.
 MOST_BENT = 0.3
 
 
