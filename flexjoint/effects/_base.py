@@ -135,7 +135,7 @@ class Effect:
     on_rigid: ClassVar[str] = ""  # the effect of the motor that it is one with where there is no spring
     repeats: ClassVar[str] = ""  # number of cycles of a law that is periodic in `against`, or its channel
     common: ClassVar[bool] = False  # several joints often have it by one value: one clock, one scale
-    ordinary: ClassVar[bool] = False  # every machine has it: looked for first on a joint that leaves much
+    ordinary: ClassVar[bool] = False  # every drive has it: looked for first on a joint that leaves much
     needs_spring: ClassVar[bool] = False  # means nothing on a joint of infinite stiffness
     for_rigid: ClassVar[bool] = False  # gives a rigid joint a spring: needs one of infinite stiffness
     jumps: ClassVar[bool] = False  # its channel's reading jumps where it sets in
@@ -206,6 +206,11 @@ class Effect:
         """Where a fit should start, given measured signals (arrays): values of the shape and of the
         non-linear parameters. One empty dict: a law linear in all its parameters needs no start."""
         return ({},)
+
+    def possible(self, drive: Drive) -> bool:
+        """Whether a joint with these nominal numbers may have it as a cause: a scale of a number that is 0
+        changes nothing."""
+        return True
 
     def largest(self, s: Signals) -> Mapping[str, float]:
         """What parameters, by name, can be at most on a joint with these measured signals (arrays), where

@@ -8,7 +8,8 @@ from flexjoint.effects._sources import HIWIN
 
 
 class MotorInertia(Effect):
-    """The motor's inertia, link-referred, is not what the model says."""
+    """The motor's inertia, link-referred, is not what the model says. Where it says none, `rotor_inertia` has
+    it."""
 
     site, kind, against, reference = Site.MOTOR, Kind.PARAMETER, "tau_m", "Spong 1987 (motor equation)"
     law = r"(1 + e)\,B"
@@ -26,6 +27,9 @@ class MotorInertia(Effect):
             ),
         ),
     )
+
+    def possible(self, drive: Drive) -> bool:
+        return drive.B != 0.0
 
     def edit_drive(self, drive: Drive, p: Any) -> Drive:
         return drive.scaled(B=1.0 + p.scale)

@@ -38,6 +38,7 @@ class Drake(Urdf):
         "motor_inertia": exact("drake:rotor_inertia of the actuator"),
         "motor_viscous_friction": DAMPING,
         "payload": exact("in the link's inertial"),
+        "rotor_inertia": exact("drake:rotor_inertia of the actuator"),
         "stribeck_friction": NO_FRICTION,
         "torque_saturation": EFFORT,
         "torque_speed_limit": near(f"limit effort {STALL}"),

@@ -41,6 +41,7 @@ class IsaacLab(Target):
         "motor_inertia": near(f"armature; {UNVERIFIED}"),
         "motor_viscous_friction": VISCOUS,
         "payload": BODIES,
+        "rotor_inertia": near(f"armature; {UNVERIFIED}"),
         "stribeck_friction": near(f"friction at rest, dynamic_friction its level; {UNVERIFIED}"),
         "torque_delay": near(f"min_delay, max_delay of a DelayedPDActuatorCfg, whole steps; {UNVERIFIED}"),
         "torque_saturation": near(f"effort_limit; {UNVERIFIED}"),

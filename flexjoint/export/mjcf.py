@@ -119,6 +119,7 @@ class Mjcf(Target):
         "payload": exact("a body of its mass at its position; a negative one in the link's inertial"),
         "periodic_disturbance": absent("a file knows no time; apply it to qfrc_applied"),
         "quadratic_drag": exact(f"quadratic damping of the link's hinge ({POLYNOMIAL})"),
+        "rotor_inertia": exact("armature"),
         "rough_spot": absent("MuJoCo's friction knows no place"),
         "sensor_delay": exact(f"delay of the sensors q, dq, theta and dtheta ({DELAYS})"),
         "spring_creep": exact("a hinge with damping k T behind a tendon of stiffness k"),

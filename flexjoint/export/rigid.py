@@ -42,7 +42,9 @@ FORCES: Mapping[str, Way] = _all(
     "cable_spring end_stop learned_surface learned_torque periodic_disturbance quadratic_drag",
     "no such force there",
 )
-BODIES: Mapping[str, Way] = _all("base_tilt motor_inertia payload", "bodies and gravity are not in that file")
+BODIES: Mapping[str, Way] = _all(
+    "base_tilt motor_inertia payload rotor_inertia", "bodies and gravity are not in that file"
+)
 
 NOTHING: Mapping[str, Way] = {  # one that carries no effect at all
     **SPRINGS, **SENSORS, **COMMANDS, **LIMITS, **FRICTION, **FORCES, **BODIES

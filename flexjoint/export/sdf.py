@@ -44,6 +44,7 @@ class Sdf(Mounted):
         "motor_inertia": absent("SDF has no armature"),
         "motor_viscous_friction": near(f"dynamics damping; {READ}"),
         "payload": near(f"in the link's inertial; {READ}"),
+        "rotor_inertia": absent("SDF has no armature"),
         "stribeck_friction": near(f"dynamics friction, without what it has more near rest; {UNVERIFIED}"),
         "torque_saturation": near(f"limit effort; {READ}"),
         "torque_speed_limit": near(f"limit effort {STALL}; {READ}"),

@@ -44,6 +44,7 @@ class Urdf(Mounted):
         "motor_inertia": absent("a URDF has no armature"),
         "motor_viscous_friction": DAMPING,
         "payload": exact("in the link's inertial"),
+        "rotor_inertia": absent("a URDF has no armature"),
         "stribeck_friction": near(f"dynamics friction, without what it has more near rest; {READ}"),
         "torque_saturation": near(f"limit effort; {READ}"),
         "torque_speed_limit": near(f"limit effort {STALL}; {READ}"),

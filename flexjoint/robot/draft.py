@@ -269,7 +269,7 @@ class _Lines:
         else:
             yield (
                 f"motor_inertia: 0  # {unit('kg m^2')}, {CHECK}: gear_ratio^2 x rotor inertia (data sheet"
-                f" of the motor)"
+                f" of the motor); 0: to be found"
             )
         if damping > 0.0:
             size = _number(damping)

@@ -60,6 +60,7 @@ SIZES: dict[str, dict[str, Any]] = {  # that matter in this motion
     "magnetic_saturation": {"saturation": 0.05},
     "payload": {"mass": 0.5, "position": (0.1, 0.05, -0.1)},
     "quadratic_drag": {"coefficient": 2.0},
+    "rotor_inertia": {"inertia": 0.3},
     "spring_creep": {"stiffness": 300.0, "time_constant": 0.1},
     "spring_damping": {"scale": -1.0},
     "spring_hysteresis": {"level": 1.0, "scale": 2e-3},

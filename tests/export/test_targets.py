@@ -214,7 +214,7 @@ def test_init_reads_back_every_exact_effect(flexible: bool, tmp_path: Path) -> N
         PLANAR, {} if flexible else {n: {"stiffness": math.inf, "damping": 0.0} for n in ("hip", "knee")}
     )
     merged = ("motor_inertia", "motor_viscous_friction", "spring_stiffness", "spring_damping", "base_tilt")
-    merged += ("payload", "asymmetric_friction", "torque_speed_limit")  # they have tests of their own
+    merged += ("payload", "rotor_inertia", "asymmetric_friction", "torque_speed_limit")  # they have tests of their own
     own = [e for e in one_of_each("knee") if e.effect.name in CARRIED and e.effect.name not in merged]
     if not flexible:
         at_motor = ("link_viscous_friction", "link_coulomb_friction")
@@ -237,6 +237,7 @@ def test_init_reads_what_an_exact_effect_has_become(tmp_path: Path) -> None:
             effect("spring_stiffness", "hip", scale=-0.2),
             effect("motor_viscous_friction", "hip", coefficient=3.0),
             effect("base_tilt", roll=0.1, pitch=0.2),
+            effect("rotor_inertia", "knee", inertia=0.25),
             effect("payload", "knee", mass=0.5, position=(0.1, 0.0, -0.1)),
             effect("asymmetric_friction", "knee", level_positive=0.5, level_negative=0.2),
             effect("torque_speed_limit", "knee", stall=9.0, drop=0.5),
@@ -245,6 +246,7 @@ def test_init_reads_what_an_exact_effect_has_become(tmp_path: Path) -> None:
     back = again(arm, tmp_path)
     hip = back.joint("hip").drive
     assert (hip.K, hip.B, hip.D_m) == pytest.approx((640.0, 0.36, 15.0))
+    assert back.joint("knee").drive.B == pytest.approx(arm.joint("knee").drive.B + 0.25)
     left = {e.effect.name: e.p for e in back.effects}
     assert left.pop("asymmetric_friction") == pytest.approx((0.5, 0.2))
     assert left.pop("torque_speed_limit") == pytest.approx((9.0, 0.5)) and left == {}

@@ -124,6 +124,12 @@ def test_everything_that_was_found_is_said():
         assert said in text, said
 
 
+def test_of_many_causes_that_a_refit_would_hide_their_number_is_said():
+    few, many = (words(replace(CAUSES, findings=(backlash(),) * count)) for count in (3, 4))
+    assert "Backlash at elbow, backlash at elbow and backlash at elbow would be hidden by a refit" in few
+    assert "4 of these 4 causes would be hidden by a refit" in many
+
+
 def test_the_torque_of_every_joint_is_stated_in_three_units():
     text = words(CAUSES)
     assert "joint torque before after of before of torque x noise" in text

@@ -76,6 +76,10 @@ LAWS: dict[str, tuple[str, dict[str, Callable[[Inputs], Any]]]] = {
         {"map": lambda i: i.x + i.p.amplitude * np.sin(i.p.cycles * i.s.theta + i.p.phase)},
     ),
     "motor_inertia": ("scale 1", {"edit_drive": lambda i: _drive(i, B=1 + i.p.scale)}),
+    "rotor_inertia": (
+        "inertia kg m^2",
+        {"edit_drive": lambda i: (i.drive.K, i.drive.D, i.drive.B + i.p.inertia, i.drive.D_m)},
+    ),
     "motor_viscous_friction": (
         "coefficient N m s/rad",
         {"edit_drive": lambda i: _drive(i, more=i.p.coefficient)},

@@ -25,6 +25,7 @@ from flexjoint.diagnosis.result.wording import (
 )
 
 CHANNELS, JOINTS = 8, 12  # rows of the two error tables; the JSON and the report hold all
+HIDDEN = 3  # causes named in one sentence; of more, how many there are: the JSON and the report name them
 
 
 def summary(result: Result) -> tuple[Block, ...]:
@@ -49,9 +50,11 @@ def _blocks(result: Result) -> Iterator[Block]:
     yield from _causes("Possible, not in the extended model", sentences.possible(result), joints)
     yield from _lines(sentences.disbelieved(result), style="dim")
     yield from _lines(*sentences.numbers(result))
-    hidden = listed(cause(f.effect, f.joint) for f in result.findings if f.hidden_by_refit)
+    hidden = [cause(f.effect, f.joint) for f in result.findings if f.hidden_by_refit]
     if hidden:
-        yield Line(f"{capital(hidden)} would be hidden by a refit of the nominal numbers.")
+        count = f"{len(hidden)} of these {len(result.findings)} causes"
+        which = capital(listed(hidden)) if len(hidden) <= HIDDEN else count
+        yield Line(f"{which} would be hidden by a refit of the nominal numbers.")
     yield from _torques(result, joints)
     yield from _errors(result)
     if result.agreement is not None:

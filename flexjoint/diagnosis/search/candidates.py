@@ -112,6 +112,8 @@ def visible(problem: Problem, candidate: Candidate) -> bool:
         return True
     i = problem.robot.joint_names.index(joint)
     rigid = problem.robot.joints[i].rigid
+    if not effect.possible(problem.robot.joints[i].drive):
+        return False
     if effect.reaches_before and (i == 0 or problem.robot.joints[i - 1].rigid != rigid):
         return False
     rows = {row.balance for row in problem.balances.rows if row.joint == i}

@@ -500,18 +500,21 @@ def _moved_noise(problem: Problem, effects: Sequence[Planned], others: Sequence[
 
 def material(trial: Fit, added: Planned, gained: float) -> bool:
     """Whether an effect's torque is large enough to be named: above the robot's torque tolerance, which
-    stands for what no model contains. A smaller one is named if it is certain and if there is little such
-    error: nothing but noise is left in the balances that it changes, or it removes most of what was wrong
-    there."""
+    stands for what no model contains. A smaller one is named if it is certain and part of what the model of
+    the joint's drive lacks (`Effect.ordinary`), all of which is larger; or if it is certain and there is
+    little such error: nothing but noise is left in the balances that it changes, or it removes most of what
+    was wrong there."""
     limits = trial.settings.search
     if tolerated(trial.problem, added):
         return False
     place = trial.effects.index(added)
-    shares = torque_shares(trial.problem, trial.effects, place)
+    size = np.max(torque_shares(trial.problem, trial.effects, place))
     tolerance = trial.problem.robot.tolerance.torque
     uncertain = gained < (limits.certain if added.since is None else limits.certain_dated)
-    if np.max(shares) >= tolerance or np.max(shares) < limits.negligible * tolerance or uncertain:
-        return bool(np.max(shares) >= tolerance)
+    if size >= tolerance or size < limits.negligible * tolerance or uncertain:
+        return bool(size >= tolerance)
+    if added.effect.ordinary and np.max(_shares_of_drive(trial, added.joint)) >= tolerance:
+        return True
     touched = changed_balances(trial.problem, trial.effects, place)
     left = at_own_level(trial, added).problem.level.inflation[touched]
     if np.all(left < trial.settings.regression.noise_decides):
@@ -561,7 +564,16 @@ def _spread(problem: Problem, number: NominalNumber) -> float:
 
 def torque_shares(problem: Problem, effects: Sequence[Planned], index: int) -> np.ndarray:
     """(rows,) RMS torque of an effect in each balance, as a share of that joint's torque."""
-    without = [e for k, e in enumerate(effects) if k != index]
+    return _shares(problem, [e for k, e in enumerate(effects) if k != index], effects)
+
+
+def _shares_of_drive(trial: Fit, joint: str | None) -> np.ndarray:
+    """(rows,) the same of all that every machine's drive has (`Effect.ordinary`) on a joint together."""
+    others = [e for e in trial.effects if not (e.effect.ordinary and e.joint == joint)]
+    return _shares(trial.problem, others, trial.effects)
+
+
+def _shares(problem: Problem, without: Sequence[Planned], effects: Sequence[Planned]) -> np.ndarray:
     balances, used = problem.balances, problem.readings.valid
     change = balances.change(problem.with_nominal(without), problem.with_nominal(effects))
     shares = np.zeros(len(balances.rows))

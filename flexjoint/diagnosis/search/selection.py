@@ -50,7 +50,7 @@ from flexjoint.effects import Effect, Planned, Site, catalogue
 
 STAGE = "search"  # in the trace
 PRUNED = "beside the others it no longer explains its price"
-COMMON = "ordinary friction takes most of the error of several joints"
+COMMON = "what every drive has takes most of the error of several joints"
 ALIKE = "several joints have it by one value"
 PAIRED = "with another cause it explains what neither explains alone"
 LEFT_OUT = (
@@ -290,10 +290,11 @@ def _larger(best: Fit, both: Sequence[tuple[Scored, ...]], bare: Fit | None, sea
 
 
 def with_ordinary(best: Fit, scanned: Sequence[Scored], pool: WorkerPool) -> Fit | None:
-    """The set with those ordinary frictions (`Effect.ordinary`) that the data support on the joints of which
+    """The set with those ordinary causes (`Effect.ordinary`) that the data support on the joints of which
     they take most of the error; None where there are not several of these. Every machine has more or less
-    friction than its nominal model: on a real arm it is wrong on all joints at once, and each other cause is
-    seen beside it only, unless it is a load that hides it."""
+    friction than its nominal model, and rotors of which a description says nothing: on a real arm they are
+    wrong on all joints at once, and each other cause is seen beside them only, unless it is a load that hides
+    them."""
     have = {(name, e.joint) for e in best.effects for name in (e.effect.name, *e.effect.contains)}
     ordinary = [
         replace(s, since=None).planned()

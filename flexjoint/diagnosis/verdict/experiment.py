@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flexjoint.diagnosis.result import Finding, Unexplained
-from flexjoint.diagnosis.result.wording import signal_name
+from flexjoint.diagnosis.result.wording import cause, signal_name
 from flexjoint.recording.table import Recording
 from flexjoint.robot.robot import Robot
 
@@ -27,13 +27,13 @@ def advice(
     ]
     if tied:
         first = tied[0]
-        rivals = ", ".join(_name(t.effect, t.joint) for t in first.indistinguishable)
+        rivals = ", ".join(cause(t.effect, t.joint) for t in first.indistinguishable)
         own = [name for name in lacking if name.endswith(f".{first.joint}")] or lacking
         planned = (
             "a motion that is made for it (flexjoint plan --diagnosis), or this one with a known payload"
         )
         extra = f"measure {own[0]} too" if own else planned
-        return f"To tell {_name(first.effect, first.joint)} from {rivals}: {extra}."
+        return f"To tell {cause(first.effect, first.joint)} from {rivals}: {extra}."
     if left:
         # with a push in it, a recording shows what else there is only beside it
         rigid = all(joint.rigid for joint in robot.joints)
@@ -60,7 +60,3 @@ def _side_of_encoder(robot: Robot, recording: Recording, joint: str) -> str:
     if not robot.joint(joint).rigid or recording.has("theta", joint):
         return ""
     return f" If a motor reads q.{joint}, name it theta.{joint}: whether the joint bends is looked for then."
-
-
-def _name(effect: str, joint: str | None) -> str:
-    return f"{effect} on {joint}" if joint else effect

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeVar
 
 from flexjoint.diagnosis.result import Step
+from flexjoint.diagnosis.result.wording import cause
 from flexjoint.diagnosis.search.selection import Selection
 from flexjoint.diagnosis.verdict.cases import Case
 from flexjoint.diagnosis.verdict.checks import EVERY, Check, Objection
@@ -55,7 +56,10 @@ def _edited(case: Looked, check: Check[Looked], objection: Objection) -> Looked:
 def _step(check: Check[Looked], objection: Objection, before: Selection, after: Selection) -> Step:
     known, effect = {e.key for e in before.best.effects}, objection.effect
     other = next((e for e in after.best.effects if e.key not in known), None)
-    done = f"{effect} is not reported" if other is None else f"{other} is reported instead of {effect}"
+    name = cause(*effect.key)
+    done = (
+        f"{name} is not reported" if other is None else f"{cause(*other.key)} is reported instead of {name}"
+    )
     return Step(
         stage=check.stage,
         action="dropped" if other is None else "replaced",
@@ -77,9 +81,8 @@ def _with_it(
         return
     for one in before.best.effects:
         if one.key not in {*left, effect.key}:
-            name, joint = one.key
-            why = f"{one} is not reported: it made room for {effect}"
-            yield Step(check.stage, "dropped", name, joint, None, ROOM, objection.evidence, why)
+            why = f"{cause(*one.key)} is not reported: it made room for {cause(*effect.key)}"
+            yield Step(check.stage, "dropped", *one.key, None, ROOM, objection.evidence, why)
 
 
 def notes(trace: Iterable[Step]) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import fit
 from flexjoint.diagnosis.regression.problem import NoiseLevel, Problem
 from flexjoint.diagnosis.result import Remaining
+from flexjoint.diagnosis.result.wording import cause
 from flexjoint.diagnosis.search import criteria
 from flexjoint.diagnosis.settings import USUAL, Settings
 from flexjoint.diagnosis.verdict.cases import Case
@@ -145,8 +146,8 @@ def test_an_empty_set_is_asked_nothing() -> None:
 def test_notes_say_what_the_checks_did() -> None:
     case = reviewed(Case(holding(OFFSET, GAP), ()), (Without(OFFSET, instead=LAG), Without(GAP)))
     assert notes(case.trace) == (
-        f"{LAG} is reported instead of {OFFSET}: for a test",
-        f"{GAP} is not reported: for a test",
+        f"{cause(*LAG.key)} is reported instead of {cause(*OFFSET.key)}: for a test",
+        f"{cause(*GAP.key)} is not reported: for a test",
     )
 
 
