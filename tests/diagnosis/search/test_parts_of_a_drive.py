@@ -43,9 +43,7 @@ def made(folder: Path, *dry: Planted) -> Problem:
 
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory: pytest.TempPathFactory) -> Problem:
-    return made(
-        tmp_path_factory.mktemp("rigid"), Planted("motor_coulomb_friction", "swing", {"level": 3.0})
-    )
+    return made(tmp_path_factory.mktemp("rigid"), Planted("motor_coulomb_friction", "swing", {"level": 3.0}))
 
 
 def small_one(problem: Problem, *effects: Planned) -> tuple[Fit, Planned]:
