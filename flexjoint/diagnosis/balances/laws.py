@@ -148,10 +148,10 @@ class Laws:
         gain = (high - low) / (2.0 * step) if step > 0.0 else 1.0
         return 1.0 / gain if gain > LEAST_GAIN else 1.0
 
-    def command(self, i: int, effects: Sequence[Planned]) -> np.ndarray:
-        """(N,) what effects of the command make of joint i's torque."""
+    def command(self, i: int, effects: Sequence[Planned], more: float = 0.0) -> np.ndarray:
+        """(N,) what effects of the command make of joint i's torque, and of `more` [N m] beside it."""
         base = self.base(i)
-        torque = base.torque
+        torque = base.torque + more
         signals = Signals(t=self.t, q=base.q, dq=base.dq, theta=base.theta, dtheta=base.dtheta)
         signals.tau_m_before, signals.tau_m_after = neighbours(self.torques(), i)
         return self.commanded(effects, torque, signals)

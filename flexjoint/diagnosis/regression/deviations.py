@@ -28,6 +28,7 @@ LEAST_CHANGE = 1e-6  # among these rounds: what changes less is rounding
 SWINGS = 0.01  # share of the motors' squared balances, from which links are taken to swing at the start
 MOST_HALVINGS = 6  # of a step that raises the energy
 MOST_STEPS = 12  # Gauss-Newton steps of the nominal numbers at most, until
+LEAST_STEP = 1e-3  # of a joint's torque, by which a command's slope is taken
 CONVERGED = 0.1  # a step gains, or promises, less than this energy
 
 
@@ -176,26 +177,36 @@ def _shrunk(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> floa
     """Energy that effects of the command hide in the motors' balances: with less torque, less inertia and
     less friction a balance is as wrong as before, only in smaller numbers, down to zero for a gain of zero
     (the trivial solution of a homogeneous regression). What is left beyond noise is scaled back to the
-    recorded command."""
-    sizes = _command_sizes(problem, effects)
-    if not sizes:
+    recorded command; and a law that lets less of the torque's noise through (a motor that saturates) would
+    fit any recording better by what it takes of that noise."""
+    changed = _changed_commands(problem, effects)
+    if not changed:
         return 0.0
     rows = len(problem.balances.rows)
     left = problem.rest_by_row(y)
-    noise = problem.freedom / rows
+    noise, kept = problem.freedom / rows, problem.torque_noise_kept
     total = 0.0
-    for row, size in sizes.items():
-        beyond = max(0.0, float(left[row] @ left[row]) - noise * float(problem.by_row[row]))
-        total += beyond * (1.0 / size**2 - 1.0)
+    for row, command in changed.items():
+        expected = noise * float(problem.by_row[row])
+        beyond = max(0.0, float(left[row] @ left[row]) - expected)
+        total += beyond * (1.0 / command.size**2 - 1.0)
+        total += expected * kept[row] * max(0.0, 1.0 - command.slope**2)
     return total
 
 
-def _command_sizes(problem: Problem, effects: Sequence[Planned]) -> dict[int, float]:
-    """By row, for the motors' balances whose command effects change: the size of the commanded torque with
-    these effects over that with the nominal model's; at least `regression.least_command`."""
+@dataclass(frozen=True)
+class _Command:
+    """What effects make of a commanded torque, over what the nominal model's make of it."""
+
+    size: float  # at least `regression.least_command`
+    slope: float  # RMS of its change by a small change of the torque: what is let through of noise
+
+
+def _changed_commands(problem: Problem, effects: Sequence[Planned]) -> dict[int, _Command]:
+    """By row, of the motors' balances whose command effects change."""
     balances, used = problem.balances, problem.readings.valid
     every = problem.with_nominal(effects)
-    sizes = {}
+    changed = {}
     for r, row in enumerate(balances.rows):
         if row.balance != MOTOR:
             continue
@@ -206,12 +217,18 @@ def _command_sizes(problem: Problem, effects: Sequence[Planned]) -> dict[int, fl
         )
         if [e.identity for e in here] == [e.identity for e in nominal]:
             continue
-        now, was = (float(np.std(balances.chains.command(row.joint, of)[used])) for of in (here, nominal))
-        if was > 0.0:  # without the scale by which the balance is already counted in recorded torque
-            chains = balances.chains
-            counted = chains.command_scale(row.joint, here) / chains.command_scale(row.joint, nominal)
-            sizes[r] = max(counted * now / was, problem.settings.regression.least_command)
-    return sizes
+        chains, noise = balances.chains, float(problem.readings.noise["torque"][row.joint])
+        step = max(noise, LEAST_STEP * float(problem.torque_scale[row.joint]))
+        sizes, slopes = [], []
+        for of in (here, nominal):
+            counted = chains.command_scale(row.joint, of)  # the balance is counted in recorded torque already
+            torque, up, down = (chains.command(row.joint, of, more)[used] for more in (0.0, step, -step))
+            sizes.append(counted * float(np.std(torque)))
+            slopes.append(counted * float(np.sqrt(np.mean(((up - down) / (2.0 * step)) ** 2))))
+        if sizes[1] > 0.0 and slopes[1] > 0.0:
+            size = max(sizes[0] / sizes[1], problem.settings.regression.least_command)
+            changed[r] = _Command(size, slopes[0] / slopes[1])
+    return changed
 
 
 def _evaluated(problem: Problem, y: np.ndarray, effects: Sequence[Planned]) -> float:

@@ -88,6 +88,21 @@ class Whitening:
         return np.asarray(np.sqrt(np.mean(own, axis=0) + self.floor**2))
 
     @cached_property
+    def of_torque(self) -> np.ndarray:
+        """(m,) the share of each balance's noise that is its motor torque's, in the whitened band."""
+        band = slice(0, self.taper.size, 8)  # spectra are smooth, as above
+        balances, n = self.noise.balances, len(self.noise.drives)
+        omega, gain = balances.filter.omega[band], balances.filter.gain[band]
+        transfer, _ = self.noise.at(omega)
+        variance = self.noise.variances[3 * n :]
+        total = np.einsum("faa->fa", self.noise.spectrum(omega, gain)).real + self.floor**2
+        shares = [
+            np.mean(np.abs(transfer[:, r, 3 * n + row.joint] * gain) ** 2 * variance[row.joint] / total[:, r])
+            for r, row in enumerate(balances.rows)
+        ]
+        return np.array(shares)
+
+    @cached_property
     def drawn(self) -> np.ndarray:
         """(draws, m K) the predicted noise drawn at random, whitened. A whitening takes the robot for one of
         constant inertia; along a motion the noise of one encoder reaches several links by inertias that vary,
