@@ -186,6 +186,11 @@ def _add_diagnose(commands: Any) -> None:
         help="put causes below 50 %% probability into the extended robot, too",
     )
     diagnose.add_argument(
+        "--numbers",
+        action="store_true",
+        help="change nominal numbers within their tolerances in the extended robot, too",
+    )
+    diagnose.add_argument(
         "--learn",
         action="store_true",
         help="learn smooth laws of what no cause explains, into the extended robot, too",

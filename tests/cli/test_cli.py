@@ -18,7 +18,7 @@ from support.cli_runs import complaint, run
 import flexjoint.diagnosis.pipeline
 from flexjoint.cli import options
 from flexjoint.core.running.budget import Budget
-from flexjoint.diagnosis.result import Diagnosis
+from flexjoint.diagnosis.result import Diagnosis, WithinTolerance
 from flexjoint.effects import effect
 from flexjoint.model.dynamics import FlexibleJointModel
 from flexjoint.recording import table as recording
@@ -213,6 +213,34 @@ def test_unlikely_causes_stay_out_of_the_written_robot_unless_asked_for(
     assert run(*words, "--all-causes") == 0
     assert f"wrote {out}\n" in capsys.readouterr().out
     assert len(robot.load(out).effects) == 2
+
+
+def test_numbers_within_their_tolerance_are_changed_where_that_is_asked_for(
+    diagnosed: Callable[[Diagnosis], None],
+    arm: Robot,
+    monday: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A number of the robot, and one of a finding."""
+    found = fake_diagnosis.two_causes()
+    off = (
+        WithinTolerance("motor_viscous_friction", "shoulder", -0.4),
+        WithinTolerance("motor_coulomb_friction", "elbow", 0.25, "level"),
+    )
+    diagnosed(replace(found, within_tolerance=off))
+    out = tmp_path / "extended.yaml"
+    words = ("diagnose", monday, "--robot", arm.path, "--model", out)
+    assert run(*words) == 0
+    assert "within their tolerances are as they were; --numbers changes them" in capsys.readouterr().out
+    was = {e.key: e for e in robot.load(out).effects}
+    assert run(*words, "--numbers") == 0
+    assert "--numbers" not in capsys.readouterr().out
+    now = {e.key: e for e in robot.load(out).effects}
+    assert set(now) - set(was) == {("motor_viscous_friction", "shoulder")}
+    assert now["motor_viscous_friction", "shoulder"].p.coefficient == -0.4
+    key = ("motor_coulomb_friction", "elbow")
+    assert now[key].p.level == pytest.approx(was[key].p.level + 0.25)
 
 
 def test_a_description_is_no_robot_file(arm: Robot, monday: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -73,11 +73,12 @@ def run(arguments: argparse.Namespace) -> None:
     if shown_on_page is not None:  # its numbers are those of all causes that it names
         html = page(diagnosis, nominal, diagnosis.extend(nominal, least=0.0), shown_on_page)
     least = 0.0 if arguments.all_causes else LEAST
-    asked.write(to_json(diagnosis, asked.model_name()), html, diagnosis.extend(nominal, least))
+    extended = diagnosis.extend(nominal, least, numbers=arguments.numbers)
+    asked.write(to_json(diagnosis, asked.model_name()), html, extended)
     if not arguments.quiet:
         console = Console()
         summary(diagnosis, console)
-        for line in written(diagnosis, asked, least):
+        for line in written(diagnosis, asked, least, arguments.numbers):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -107,7 +108,7 @@ def examined(nominal: Robot, recordings: Sequence[Recording], seconds: float) ->
     return excerpts(nominal, recordings, seconds)[0][0]
 
 
-def written(diagnosis: Diagnosis, asked: Asked, least: float) -> Iterator[str]:
+def written(diagnosis: Diagnosis, asked: Asked, least: float, numbers: bool) -> Iterator[str]:
     """What was written, and of the extended robot what was left out."""
     kept = diagnosis.likely(least)
     left = [finding for finding in diagnosis.findings if finding not in kept]
@@ -120,6 +121,8 @@ def written(diagnosis: Diagnosis, asked: Asked, least: float) -> Iterator[str]:
                 f" puts {'it' if len(left) == 1 else 'them'} in"
             )
         yield line
+        if path == asked.model and diagnosis.within_tolerance and not numbers:
+            yield "  nominal numbers within their tolerances are as they were; --numbers changes them"
         going = [cause(f.effect, f.joint) for f in kept if f.during]
         if path == asked.model and going:
             yield f"{escaped(str(path))} is of the robot without {listed(going)}, which comes and goes"

@@ -60,10 +60,12 @@ class Diagnosis(Result):
         """The causes with at least this probability."""
         return tuple(finding for finding in self.findings if finding.probability >= least)
 
-    def extend(self, robot: Robot, least: float = LEAST) -> Robot:
+    def extend(self, robot: Robot, least: float = LEAST, numbers: bool = False) -> Robot:
         """The robot with the causes in its model that are at least as probable as `least`; 0 takes all. Laws
         that were learned (`flexjoint.learn`) come in where the causes are those beside which they were: the
-        likely ones. Beside others they would explain the same error twice.
+        likely ones. Beside others they would explain the same error twice. With `numbers` the nominal numbers
+        that are told to be off by less than their tolerance (`within_tolerance`) are changed, too: no
+        finding, but a simulation is the better for them.
 
         Raises RobotError of what is no robot, UnknownNameError of a robot without a cause's joint.
         """
@@ -74,7 +76,10 @@ class Diagnosis(Result):
         for item in effects:
             if item.joint is not None and item.joint not in robot.joint_names:
                 raise unknown("joint", item.joint, robot.joint_names)
-        return robot.extended(effects)
+        extended = robot.extended(effects)
+        for off in self.within_tolerance if numbers else ():
+            extended = extended.extended([off.applied(extended.effects)])
+        return extended
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the diagnosis as JSON (docs/reference/formats.md), whole or not at all."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from flexjoint.effects import Planned
+from flexjoint.effects import Planned, find
 
 Verdict = Literal["causes", "healthy", "unexplained", "refused"]
 
@@ -113,11 +113,20 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class WithinTolerance:
-    """A deviation that the nominal model's own tolerance covers."""
+    """A deviation that the nominal model's own tolerance covers: by how much a number changes."""
 
     effect: str
     joint: str | None
     value: float
+    parameter: str | None = None  # of the effect; None: its first one
+
+    def applied(self, effects: Sequence[Planned]) -> Planned:
+        """The effect with its number changed, as it is among some effects or absent there."""
+        here = next((e for e in effects if e.key == (self.effect, self.joint)), None)
+        name = self.parameter or find(self.effect).params[0].name
+        if here is None:
+            return Planned.of(self.effect, self.joint, {name: self.value})
+        return here.with_values({name: here.values[name] + self.value})
 
 
 @dataclass(frozen=True)
@@ -400,7 +409,8 @@ def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
         "level": {"before": diagnosis.energy[0], "after": diagnosis.energy[1]},
         "not_excited": [{"effect": effect, "joint": joint} for effect, joint in diagnosis.not_excited],
         "within_tolerance": [
-            {"effect": w.effect, "joint": w.joint, "value": w.value} for w in diagnosis.within_tolerance
+            {"effect": w.effect, "joint": w.joint, "value": w.value, "parameter": w.parameter}
+            for w in diagnosis.within_tolerance
         ],
         "comparison": None if comparison is None else _gain(comparison),
         "recordings": None if diagnosis.agreement is None else _agreement(diagnosis.agreement),

@@ -14,6 +14,7 @@ from flexjoint.diagnosis.regression.nuisance import NominalNumber
 from flexjoint.diagnosis.regression.problem import Problem
 from flexjoint.diagnosis.regression.uncertainty import Errors, standard_errors
 from flexjoint.diagnosis.result import Finding, Fitted, Ranked, WithinTolerance
+from flexjoint.diagnosis.result.wording import cause
 from flexjoint.diagnosis.search.candidates import Candidate, jump_times
 from flexjoint.diagnosis.search.criteria import (
     needs_implausible,
@@ -233,7 +234,7 @@ def not_believed(best: Fit) -> tuple[str, ...]:
     """Notes on nominal numbers that would have to deviate implausibly far: something else is wrong there. Of
     friction that the model claims any deviation is plausible."""
     return tuple(
-        f"{off.shown.effect} on {off.shown.joint} would have to be off by {off.deviations:+.1f} times its"
+        f"{cause(off.shown.effect, off.shown.joint)} would have to be off by {off.deviations:+.1f} times its"
         " tolerance to make the balances smaller: this is not plausible, so something else is wrong there"
         for off in _off(best)
         if not (off.believed or off.number.claims_friction)
@@ -255,8 +256,8 @@ def to_state(best: Fit, found: Sequence[Finding]) -> tuple[str, ...]:
         matrix = ", ".join(rows if len(rows) > 1 else ["[1, 0]", *rows])
         before = robot.joint_names[own - 1]
         notes.append(
-            f"{finding.effect} on {finding.joint}: what turns with {before}, too, has inertia on both joints"
-            " as well; state that in the robot file and diagnose again:"
+            f"{cause(finding.effect, finding.joint)}: what turns with {before}, too, has inertia on both"
+            " joints as well; state that in the robot file and diagnose again:"
             f" `couplings: [{{joints: [{before}, {finding.joint}], matrix: [{matrix}]}}]`. motor_inertia,"
             " motor_damping and torque_limit of these joints are then those of the motors: restate them"
         )
@@ -288,14 +289,16 @@ def _off(best: Fit) -> list[_Off]:
         ):
             continue
         change = float(value) * number.std
-        name = number.name
+        name, parameter = number.name, None
         if name == "motor_damping":
-            name, change = "motor_viscous_friction", change * problem.robot.joint(number.joint).drive.D_m
+            name, claim = "motor_viscous_friction", problem.robot.joint(number.joint).drive.D_m
+            change = max(change, -1.0) * claim  # not less than none
         elif number.claims_friction:
-            change *= claimed[name, number.joint].values[number.of]
+            parameter = number.of
+            change = max(change, -1.0) * claimed[name, number.joint].values[parameter]
         elif name not in ("spring_stiffness", "spring_damping", "motor_inertia"):
             continue
-        shown = WithinTolerance(name, number.joint, change)
+        shown = WithinTolerance(name, number.joint, change, parameter)
         out.append(_Off(number, shown, float(value), abs(value) <= limits.believed))
     return out
 
