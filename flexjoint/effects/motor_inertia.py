@@ -8,8 +8,9 @@ from flexjoint.effects._sources import HIWIN
 
 
 class MotorInertia(Effect):
-    """The motor's inertia, link-referred, is not what the model says. Where it says none, `rotor_inertia` has
-    it."""
+    """The motor's inertia, link-referred, is not what the model says.
+
+    Where the model says none, `rotor_inertia` has it."""
 
     site, kind, against, reference = Site.MOTOR, Kind.PARAMETER, "tau_m", "Spong 1987 (motor equation)"
     law = r"(1 + e)\,B"

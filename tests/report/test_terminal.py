@@ -124,6 +124,12 @@ def test_everything_that_was_found_is_said():
         assert said in text, said
 
 
+def test_of_many_causes_the_kinds_of_those_that_are_not_told_are_counted():
+    other = replace(backlash(), effect="payload")
+    text = words(replace(CAUSES, findings=(*[backlash()] * 5, other)))
+    assert "and 3 more: backlash at 2 joints and payload at elbow." in text
+
+
 def test_of_many_causes_that_a_refit_would_hide_their_number_is_said():
     few, many = (words(replace(CAUSES, findings=(backlash(),) * count)) for count in (3, 4))
     assert "Backlash at elbow, backlash at elbow and backlash at elbow would be hidden by a refit" in few

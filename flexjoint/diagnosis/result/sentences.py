@@ -212,16 +212,28 @@ def _found(diagnosis: Result, gain: Gain | None, joints: Joints) -> tuple[str, .
         texts = [because(first) + _odds(first, joints)]
         texts += [cause(f.effect, f.joint) + _numbers(f) + _odds(f, joints) for f in others[: MAIN - 1]]
         if len(named) > MAIN:
-            texts.append(f"and {len(named) - MAIN} more")
+            texts.append(f"and {_more(named[MAIN:])}")
         lines = [sentence(capital("; ".join(texts))), moved(first, gain, joints)]
     else:
         lines.append("No cause is more likely there than not.")
     if unsure:
         texts = [cause(f.effect, f.joint) + _numbers(f) + _odds(f, joints) for f in unsure[:MAIN]]
         if len(unsure) > MAIN:
-            texts.append(f"and {len(unsure) - MAIN} more")
+            texts.append(f"and {_more(unsure[MAIN:])}")
         lines.append(sentence(f"Possible: {'; '.join(texts)}"))
     return tuple(line for line in lines if line)
+
+
+def _more(findings: Sequence[Finding]) -> str:
+    """How many causes there are beside those that are told, and which."""
+    joints: dict[str, list[str | None]] = {}
+    for finding in findings:
+        joints.setdefault(finding.effect, []).append(finding.joint)
+    kinds = (
+        cause(effect, at[0]) if len(at) == 1 else f"{effect_name(effect)} at {len(at)} joints"
+        for effect, at in joints.items()
+    )
+    return f"{len(findings)} more: {listed(kinds)}"
 
 
 def _numbers(finding: Finding) -> str:

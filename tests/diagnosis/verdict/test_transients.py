@@ -9,7 +9,7 @@ import pytest
 from planting import Planted, plant, robot_file
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording, summary
-from support.thorough import thorough
+from support.thorough import sample, thorough
 
 from flexjoint.diagnosis.pipeline import diagnose
 from flexjoint.diagnosis.result import Diagnosis, ResidualView, Unexplained
@@ -48,7 +48,10 @@ def pushed(found: Diagnosis) -> list[Unexplained]:
 
 
 @thorough
-@pytest.mark.parametrize(("name", "share"), [("crane", 0.05), ("crane", 0.3), (RIGID, 0.2)])
+@pytest.mark.parametrize(
+    ("name", "share"),
+    sample([("crane", 0.05), (RIGID, 0.2), ("crane", 0.3)], one_in=2, several=True, thorough_in=2),
+)
 def test_a_push_of_two_seconds_is_told_with_joint_and_times(name: str, share: float) -> None:
     joint, size = ROBOTS[name]
     # exp(-(t - 5)^4): from 4 to 6 s, above half of its height from 4.09 to 5.91 s

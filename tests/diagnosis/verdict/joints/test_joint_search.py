@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from planting import Planted
 from support.diagnose_cases import Case, as_recording, nominal
-from support.thorough import thorough
+from support.thorough import exhaustive, thorough
 
 from flexjoint.core.running.budget import Budget
 from flexjoint.diagnosis.balances.balances import balances_of
@@ -59,7 +59,7 @@ def test_a_cause_beside_a_large_unknown_is_found(hidden: tuple[Selection, list[C
     assert len(after.rivals) == len(after.best.effects)
 
 
-@thorough
+@exhaustive
 def test_two_processes_find_the_same_bits(hidden: tuple[Selection, list[Candidate]]) -> None:
     selection, candidates = hidden
     one, two = (completed(replace(selection), candidates, workers) for workers in (1, 2))
