@@ -225,8 +225,8 @@ def test_numbers_within_their_tolerance_are_changed_where_that_is_asked_for(
     """A number of the robot, and one of a finding."""
     found = fake_diagnosis.two_causes()
     off = (
-        WithinTolerance("motor_viscous_friction", "shoulder", -0.4),
-        WithinTolerance("motor_coulomb_friction", "elbow", 0.25, "level"),
+        WithinTolerance("motor_viscous_friction", "shoulder", "coefficient", -0.4),
+        WithinTolerance("motor_coulomb_friction", "elbow", "level", 0.25),
     )
     diagnosed(replace(found, within_tolerance=off))
     out = tmp_path / "extended.yaml"

@@ -345,7 +345,7 @@ def test_names_are_text_whatever_they_hold(arm2, measured, before, after):
         unexplained=(d.Unexplained(evil, evil, 0.1, evil), d.Unexplained(evil, "spring", 0.1, evil)),
         remaining=(d.Remaining(evil, 9.0, 4.0, 0.2, 0.1, 0.19, evil),),
         not_excited=((evil, evil),),
-        within_tolerance=(d.WithinTolerance(evil, evil, 0.1),),
+        within_tolerance=(d.WithinTolerance(evil, evil, evil, 0.1),),
         ranking=(d.Ranked(evil, evil, 0.4, {evil: evil}),),
         next_experiment=evil,
         residuals=(view,),

@@ -51,7 +51,7 @@ CAUSES = d.Diagnosis(
         d.Remaining("elbow", 10.0, 4.0, 0.6, 0.2, 0.45, "q.a"),
     ),
     not_excited=(("end_stop", "elbow"), ("end_stop", "a")),
-    within_tolerance=(d.WithinTolerance("payload", "elbow", 0.008),),
+    within_tolerance=(d.WithinTolerance("payload", "elbow", "mass", 0.008),),
     comparison=d.Gain(
         True,
         0.5,
@@ -183,7 +183,7 @@ def test_most_of_an_error_may_be_numbers_within_their_tolerances():
     covered = replace(
         UNEXPLAINED,
         remaining=(d.Remaining("elbow", 10.0, 4.0, 0.4, 0.2, 0.1, "q"),),
-        within_tolerance=(d.WithinTolerance("motor_viscous_friction", "elbow", 3.2),),
+        within_tolerance=(d.WithinTolerance("motor_viscous_friction", "elbow", "coefficient", 3.2),),
         comparison=CAUSES.comparison,
     )
     text = words(covered)
@@ -195,7 +195,7 @@ def test_most_of_an_error_may_be_numbers_within_their_tolerances():
 def test_friction_within_its_tolerance_is_no_law_without_a_name():
     """What is left is counted beside the friction that a model claims, which may be off."""
     left = d.Remaining("elbow", 10.0, 4.0, 3.8, 0.2, 3.5, "dtheta")
-    off = d.WithinTolerance("motor_coulomb_friction", "elbow", -3.4)
+    off = d.WithinTolerance("motor_coulomb_friction", "elbow", "level", -3.4)
     partial = replace(UNEXPLAINED, findings=(backlash(),), comparison=CAUSES.comparison, remaining=(left,))
     assert "by a law that no named cause has" in words(partial)
     told = words(replace(partial, within_tolerance=(off,)))

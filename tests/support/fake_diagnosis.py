@@ -254,7 +254,7 @@ def causes(measured: recording.Recording, before: Simulated, after: Simulated) -
         unexplained=(d.Unexplained("elbow", "spring", 0.043, "theta"),),
         remaining=remaining(),
         not_excited=(("end_stop", "elbow"), ("end_stop", "shoulder"), ("cable_spring", "elbow")),
-        within_tolerance=(d.WithinTolerance("payload", "elbow", 0.008),),
+        within_tolerance=(d.WithinTolerance("payload", "elbow", "mass", 0.008),),
         comparison=gain(before, after),
         next_experiment="hold the elbow still for 2 s between moves, so that stiction shows",
         ranking=(
@@ -283,7 +283,7 @@ def healthy(measured: recording.Recording, before: Simulated) -> d.Diagnosis:
         "healthy",
         "nothing beats the noise and the tolerances",
         remaining=(d.Remaining("elbow", 8.05, 0.31, 0.055, 0.05, 0.0, "q"),),
-        within_tolerance=(d.WithinTolerance("payload", "elbow", 0.008),),
+        within_tolerance=(d.WithinTolerance("payload", "elbow", "mass", 0.008),),
         comparison=gain(before, before),
         residuals=tuple(replace(v, before=v.after) for v in views(measured)),
     )

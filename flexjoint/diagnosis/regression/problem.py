@@ -22,7 +22,7 @@ from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
 from flexjoint.diagnosis.regression import whitening
 from flexjoint.diagnosis.regression.nuisance import Columns
 from flexjoint.diagnosis.regression.recorded import Recorded
-from flexjoint.diagnosis.regression.whitening import Band
+from flexjoint.diagnosis.regression.whitening import Band, Whitening
 from flexjoint.effects import Planned
 
 LEVEL_ROUNDS = 12
@@ -89,6 +89,7 @@ class Problem(Recorded):
         self._moves: LruCache[Moves] = LruCache()
         self._columns = Columns(balances.denoised, self.whitening, self.readings)
         self.nuisance, self._plain = self._columns.nuisance, self._columns.matrix
+        self.torque_noise_kept = _torque_noise_kept(balances, self.whitening)
         self._entangled: tuple[Planned, ...] = ()  # effects beside which actuators' numbers do something else
         self.level = NoiseLevel.predicted(len(rows)) if level is None else level
         self.used = np.ones(self.time.size)
@@ -464,6 +465,20 @@ class Problem(Recorded):
     def inertial_band(self, i: int, change: np.ndarray) -> Band:
         """Trace, before it is whitened, of a change (10,) of the inertial parameters of joint i's link."""
         return self._columns.load_band(self.balances.denoised.inertial_torque(i, change))
+
+
+def _torque_noise_kept(balances: TwinBalances, of: Whitening) -> np.ndarray:
+    """(rows,) the share of a balance's noise that is its motor torque's, and that the denoised recording
+    still has: a Wiener filter keeps the noise of frequencies in which there is a signal."""
+    noisy, clean = balances.motion.readings.torque, balances.denoised.motion.readings.torque
+    kept = np.array(of.of_torque)
+    for r, row in enumerate(balances.rows):
+        if row.balance != MOTOR or kept[r] == 0.0:
+            continue
+        taken = balances.filter.spectrum(noisy[row.joint] - clean[row.joint]) * balances.filter.gain
+        white = of.white(of.band({r: taken})).reshape(len(kept), -1)[r]
+        kept[r] = max(0.0, kept[r] - float(np.mean(white**2)))
+    return kept
 
 
 def _entangling(effects: Sequence[Planned]) -> tuple[object, ...]:

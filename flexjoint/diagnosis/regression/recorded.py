@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from flexjoint.diagnosis.balances.balances import MOTOR, TwinBalances
+from flexjoint.diagnosis.balances.balances import TwinBalances
 from flexjoint.diagnosis.regression import whitening
 from flexjoint.diagnosis.regression.whitening import Whitening
 from flexjoint.effects import Effect, Planned, Signals
@@ -37,21 +37,6 @@ class Recorded:
     def deviation(self) -> np.ndarray:
         """(rows,) standard deviation that the sensors' noise has in each balance [N m]."""
         return self.whitening.deviation
-
-    @cached_property
-    def torque_noise_kept(self) -> np.ndarray:
-        """(rows,) the share of a balance's noise that is its motor torque's, and that the denoised recording
-        still has: a Wiener filter keeps the noise of frequencies in which there is a signal."""
-        balances, whitening = self.balances, self.whitening
-        noisy, clean = self.readings.torque, balances.denoised.motion.readings.torque
-        kept = np.array(whitening.of_torque)
-        for r, row in enumerate(balances.rows):
-            if row.balance != MOTOR or kept[r] == 0.0:
-                continue
-            taken = balances.filter.spectrum(noisy[row.joint] - clean[row.joint]) * balances.filter.gain
-            white = whitening.white(whitening.band({r: taken})).reshape(len(kept), -1)[r]
-            kept[r] = max(0.0, kept[r] - float(np.mean(white**2)))
-        return kept
 
     def with_nominal(self, extra: Sequence[Planned]) -> list[Planned]:
         """The nominal model's effects with these added; one that it lists already is replaced."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from flexjoint.effects import Planned, find
+from flexjoint.effects import Planned
 
 Verdict = Literal["causes", "healthy", "unexplained", "refused"]
 
@@ -117,16 +117,15 @@ class WithinTolerance:
 
     effect: str
     joint: str | None
+    parameter: str  # of the effect
     value: float
-    parameter: str | None = None  # of the effect; None: its first one
 
     def applied(self, effects: Sequence[Planned]) -> Planned:
         """The effect with its number changed, as it is among some effects or absent there."""
         here = next((e for e in effects if e.key == (self.effect, self.joint)), None)
-        name = self.parameter or find(self.effect).params[0].name
         if here is None:
-            return Planned.of(self.effect, self.joint, {name: self.value})
-        return here.with_values({name: here.values[name] + self.value})
+            return Planned.of(self.effect, self.joint, {self.parameter: self.value})
+        return here.with_values({self.parameter: here.values[self.parameter] + self.value})
 
 
 @dataclass(frozen=True)
@@ -409,7 +408,7 @@ def to_json(diagnosis: Result, model: str | None = None) -> dict[str, Any]:
         "level": {"before": diagnosis.energy[0], "after": diagnosis.energy[1]},
         "not_excited": [{"effect": effect, "joint": joint} for effect, joint in diagnosis.not_excited],
         "within_tolerance": [
-            {"effect": w.effect, "joint": w.joint, "value": w.value, "parameter": w.parameter}
+            {"effect": w.effect, "joint": w.joint, "parameter": w.parameter, "value": w.value}
             for w in diagnosis.within_tolerance
         ],
         "comparison": None if comparison is None else _gain(comparison),

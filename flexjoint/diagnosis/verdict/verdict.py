@@ -120,8 +120,8 @@ def _during(planned: Planned, readings: Readings) -> tuple[tuple[float, float | 
 
 
 def _rubs_more(best: Fit, planned: Planned) -> bool:
-    """Whether an effect is ordinary friction beyond the nominal model's, which every machine has; that of a
-    machine with less friction is as remarkable as any other cause."""
+    """Whether an effect is ordinary friction, or a rotor, beyond the nominal model's, which every drive has;
+    that of a machine with less friction is as remarkable as any other cause."""
     listed = next((e for e in best.problem.nominal if e.key == planned.key), None)
     known = {} if listed is None else listed.values
     return planned.effect.ordinary and all(
@@ -289,16 +289,17 @@ def _off(best: Fit) -> list[_Off]:
         ):
             continue
         change = float(value) * number.std
-        name, parameter = number.name, None
+        name, parameter, claim = number.name, "scale", None
         if name == "motor_damping":
-            name, claim = "motor_viscous_friction", problem.robot.joint(number.joint).drive.D_m
-            change = max(change, -1.0) * claim  # not less than none
+            name, parameter = "motor_viscous_friction", "coefficient"
+            claim = problem.robot.joint(number.joint).drive.D_m
         elif number.claims_friction:
-            parameter = number.of
-            change = max(change, -1.0) * claimed[name, number.joint].values[parameter]
+            parameter, claim = number.of, claimed[name, number.joint].values[number.of]
         elif name not in ("spring_stiffness", "spring_damping", "motor_inertia"):
             continue
-        shown = WithinTolerance(name, number.joint, change, parameter)
+        if claim is not None:  # of a friction, which is not less than none
+            change = max(change, -1.0) * claim
+        shown = WithinTolerance(name, number.joint, parameter, change)
         out.append(_Off(number, shown, float(value), abs(value) <= limits.believed))
     return out
 

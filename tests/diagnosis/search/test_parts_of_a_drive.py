@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from planting import Planted, plant
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording
@@ -27,10 +26,7 @@ CERTAIN = 1e3  # chi-square that an effect explains
 
 def made(folder: Path, *dry: Planted) -> Problem:
     """A rigid lever whose model has no friction, with some, and a ripple that nobody names."""
-    path = rigid_lever(folder)
-    data = yaml.safe_load(path.read_text())
-    data["joints"]["swing"]["motor_damping"] = 0.0
-    path.write_text(yaml.safe_dump(data))
+    path = rigid_lever(folder, damping=0.0)
     planted = [
         *dry,
         Planted("motor_viscous_friction", "swing", {"coefficient": 0.1}),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import yaml
 from planting import Planted, plant
 from planting.machine.sensing import SensorSet
 from support.diagnose_cases import as_recording
@@ -53,10 +52,7 @@ def test_claimed_friction_that_is_far_off_is_no_absurdity(tmp_path: Path) -> Non
 def test_friction_is_not_less_than_none(tmp_path: Path, claimed: float) -> None:
     """A claim of friction that is not there: what the data say of it is not quite nothing, to either side."""
     listed = {"effect": "motor_coulomb_friction", "joint": "swing", "level": claimed, "nominal": True}
-    claiming = rigid_lever(tmp_path, [listed], "claiming")
-    data = yaml.safe_load(claiming.read_text())
-    data["tolerance"]["damping"] = 0.6
-    claiming.write_text(yaml.safe_dump(data))
+    claiming = rigid_lever(tmp_path, [listed], "claiming", known=0.6)
     sensors = SensorSet(channels=("theta", "tau_motor"))
     recorded = plant(rigid_lever(tmp_path), [], "rich", 20.0, 5, sensors, rate=250.0)
     arm = load(claiming)

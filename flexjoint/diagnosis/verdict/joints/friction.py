@@ -1,5 +1,6 @@
 """Ordinary friction of a joint: every machine has more or less Coulomb and viscous friction than its nominal
-model (`Effect.ordinary`), and what is left of a joint that has too little for a search may still be that."""
+model, and rotors (`Effect.ordinary`), and what is left of a joint that has too little for a search may still
+be that."""
 
 from __future__ import annotations
 
