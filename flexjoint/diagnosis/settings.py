@@ -613,9 +613,13 @@ class SearchSettings(Stage):
         "judgement",
     )
     # --- how many
-    most_effects: int = number(12, "effects", "in a set, or the next where that is more", "judgement")
-    most_a_joint: int = number(3, "effects a joint", "on average", "judgement")
-    most_on_joint: int = number(4, "effects", "on one joint: a fifth one would not be believed", "judgement")
+    most_effects: int = number(
+        12, "effects", "in a set, beside what every drive has, or the next if that is more", "judgement"
+    )
+    most_a_joint: int = number(3, "effects a joint", "on average, beside what every drive has", "judgement")
+    most_on_joint: int = number(
+        4, "effects", "on one joint, beside what every drive has: a fifth is not believed", "judgement"
+    )
     most_exchanges: int = number(4, "exchanges", "so that two equals do not alternate for ever", "judgement")
     # --- which candidates are tried
     ripples: int = number(

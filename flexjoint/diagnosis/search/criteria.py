@@ -67,6 +67,11 @@ def repeated(effects: Sequence[Planned], limits: SearchSettings) -> dict[int, in
     return out
 
 
+def by_joint(effects: Sequence[Planned]) -> Counter[str | None]:
+    """How many causes of a set each joint has beside what every drive has (`Effect.ordinary`)."""
+    return Counter(e.joint for e in effects if not e.effect.ordinary)
+
+
 def score(result: Fit) -> float:
     """Energy plus price: of two sets, the one with the lower score is better."""
     limits, problem = result.settings.search, result.problem

@@ -22,7 +22,13 @@ from flexjoint.core.running.budget import checkpoint
 from flexjoint.core.running.worker_pool import WorkerPool
 from flexjoint.diagnosis.balances.balances import acts_within_a_joint
 from flexjoint.diagnosis.regression.fit import Fit, refit_without
-from flexjoint.diagnosis.search.criteria import at_own_level, makes_room, only_by_implausible, supported
+from flexjoint.diagnosis.search.criteria import (
+    at_own_level,
+    by_joint,
+    makes_room,
+    only_by_implausible,
+    supported,
+)
 from flexjoint.diagnosis.search.rivals import Key
 from flexjoint.diagnosis.search.scan import RIDGE, Products, Scanner, bounds_of
 from flexjoint.diagnosis.search.trials import (
@@ -54,8 +60,8 @@ def joint_pairs(best: Fit, bare: Fit, joints: Sequence[str], scanner: Scanner, p
     """Sets with the two causes of one of some joints that clear most of what is wrong with it, each at the
     noise level that it leaves. `bare` is the set `best` fitted at the level of the predicted noise. Joints
     without room for two more causes are left out."""
-    most = best.settings.search.most_on_joint
-    room = [joint for joint in joints if sum(e.joint == joint for e in best.effects) + 2 <= most]
+    most, count = best.settings.search.most_on_joint, by_joint(best.effects)
+    room = [joint for joint in joints if count[joint] + 2 <= most]
     tried = pool.map(_tried, [(best, bare, joint, scanner) for joint in room])
     return [f for f in tried if f is not None]
 
@@ -64,8 +70,8 @@ def pairs_instead(
     best: Fit, bare: Fit, joints: Sequence[str], scanner: Scanner, pool: WorkerPool
 ) -> list[Fit]:
     """As `joint_pairs`, each pair in the place of one of the causes of its joint."""
-    most = best.settings.search.most_on_joint
-    room = {joint for joint in joints if sum(e.joint == joint for e in best.effects) < most}
+    most, count = best.settings.search.most_on_joint, by_joint(best.effects)
+    room = {joint for joint in joints if count[joint] < most}
     tasks = [
         (best, refit_without(bare, e), str(e.joint), scanner)
         for e in bare.effects

@@ -212,7 +212,7 @@ def _look(found: _Found, search: Search, report: Progress) -> None:
             found.seen.add(_keys(found.best))
             continue
         best, bare = found.best, at_noise(found.best)
-        if bare is not None and len(best.effects) < most_effects(best.problem):
+        if bare is not None and has_room(best):
             joints = wrong_joints(best)
             pairs = on_one_level(pairs_instead(best, bare, joints, search.scanner, search.pool), search.pool)
             pair = prune(choose(pairs), search.pool) if pairs else best
@@ -235,7 +235,7 @@ def _grow(found: _Found, search: Search, report: Progress) -> None:
     standing: dict[Key, frozenset[Key]] = {}  # effects that were found supported, and what was beside them
     rubbed: frozenset[Key] | None = None  # the loads beside which ordinary friction was looked for
     common_beside: frozenset[Key] | None = None  # those beside which causes of one value were looked for
-    while len(found.best.effects) < most_effects(found.best.problem) and search.goes_on():
+    while has_room(found.best) and search.goes_on():
         best = found.best
         report(len(best.effects) / (len(best.effects) + 2.0), f"looking for cause {len(best.effects) + 1}")
         bare = at_noise(best)
@@ -414,9 +414,10 @@ def _best_at_own_level(best: Fit, found: Sequence[Fit]) -> Fit | None:
     return None
 
 
-def most_effects(problem: Problem) -> int:
-    limits = problem.settings.search
-    return max(limits.most_effects, limits.most_a_joint * len(problem.robot.joints))
+def has_room(best: Fit) -> bool:
+    """Whether a set may have another cause beside what every drive has."""
+    limits, count = best.settings.search, sum(not e.effect.ordinary for e in best.effects)
+    return count < max(limits.most_effects, limits.most_a_joint * len(best.problem.robot.joints))
 
 
 def _keys(result: Fit) -> frozenset[Key]:

@@ -3,7 +3,6 @@ leave. A pool of processes shares the work."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,6 +17,7 @@ from flexjoint.diagnosis.search.candidates import Candidate
 from flexjoint.diagnosis.search.criteria import (
     SAME_LEVEL,
     at_own_level,
+    by_joint,
     changed_balances,
     degenerate,
     only_by_implausible,
@@ -282,10 +282,9 @@ def promising(current: Fit, scanned: Sequence[Scored], needed: float = 0.0) -> l
     near the energy that a rival needs (`needed`), and their torque may be large enough to be named. What acts
     within a joint is no rival of what acts elsewhere: where none is needed, each joint's best one is tried,
     however many explain more of other joints."""
-    limits = current.settings.search
-    joints = Counter(e.joint for e in current.effects)
+    limits, taken = current.settings.search, by_joint(current.effects)
     scanned = [
-        s for s in scanned if s.candidate.joint is None or joints[s.candidate.joint] < limits.most_on_joint
+        s for s in scanned if s.candidate.joint is None or taken[s.candidate.joint] < limits.most_on_joint
     ]
     if not scanned:
         return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from support.robots.rigid_lever import rigid_lever
 from flexjoint.diagnosis.balances.balances import balances_of
 from flexjoint.diagnosis.regression.fit import Fit, fit
 from flexjoint.diagnosis.regression.problem import Problem
-from flexjoint.diagnosis.search.criteria import at_own_level, material, torque_shares
+from flexjoint.diagnosis.search.criteria import at_own_level, by_joint, material, torque_shares
+from flexjoint.diagnosis.search.selection import has_room
 from flexjoint.effects import Planned, effect
 from flexjoint.robot import robot
 
@@ -64,3 +66,14 @@ def test_it_does_not_matter_by_itself(tmp_path: Path) -> None:
 
 def test_what_is_no_part_of_the_drive_does_not_matter_more_beside_friction(problem: Problem) -> None:
     assert not material(*small_one(problem, DRY, OFFSET), CERTAIN)
+
+
+def test_what_every_drive_has_takes_no_room_of_other_causes(problem: Problem) -> None:
+    """An arm known by its description has three such causes a joint, and with them it was full: neither a
+    table that leans nor a spring beside a joint was looked for."""
+    most = problem.settings.search.most_effects
+    bare = fit(problem, [])
+    assert has_room(replace(bare, effects=(DRY, VISCOUS) * most))
+    assert has_room(replace(bare, effects=(DRY, *(OFFSET,) * (most - 1))))
+    assert not has_room(replace(bare, effects=(OFFSET,) * most))
+    assert by_joint([DRY, VISCOUS, OFFSET]) == {"swing": 1}
